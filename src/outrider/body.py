@@ -1,0 +1,108 @@
+"""The size of a body, learnt over its track: only what is bounded is measured, what is not can only grow.
+
+A side is bounded where it ends in a corner (the other side is seen too) or in a free beam (the next beam went
+past it). The 75 % quantile of bounding boxes, for comparison, was wrong by a quarter of the length. Ours.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from outrider.kernel import compiled
+from outrider.records import Array, Bools, Ints
+
+# length, width, and how sure [m]: car, two-wheeler, pedestrian or part of something
+TEMPLATES = np.array([[4.3, 1.8, 0.5, 0.15], [1.8, 0.65, 0.3, 0.15], [0.7, 0.7, 0.5, 0.4]])
+
+
+@compiled
+def free_ends(
+    W_p: Array, W_o: Array, angle: Array, beams: Ints, rows: Ints, max_turn: float, behind: float
+) -> tuple[Bools, Array]:
+    """Whether the beam next to each end of beams rows[:, 0]..rows[:, 1] went past it, and the gap it left.
+
+    (k, 2) bool, first and last end; (k, 2) width [m] of the gap between the last return and that beam.
+    """
+    k, m = rows.shape[0], beams.shape[0]
+    free, gap = np.zeros((k, 2), np.bool_), np.zeros((k, 2))
+    for i in range(k):
+        for side in range(2):
+            j = beams[rows[i, 0]] if side == 0 else beams[rows[i, 1] - 1]
+            q = beams[(rows[i, 0] - 1) % m] if side == 0 else beams[rows[i, 1] % m]
+            turn = abs((angle[q] - angle[j] + np.pi) % (2.0 * np.pi) - np.pi)
+            rj = np.hypot(W_p[j, 0] - W_o[j, 0], W_p[j, 1] - W_o[j, 1])
+            rq = np.hypot(W_p[q, 0] - W_o[q, 0], W_p[q, 1] - W_o[q, 1])
+            free[i, side] = turn < max_turn and rq > rj + behind
+            gap[i, side] = rj * turn
+    return free, gap
+
+
+@compiled
+def measure(
+    W_p: Array, W_o: Array, beams: Ints, rows: Ints, free: Bools, gap: Array, pose: Array, noise: float
+) -> tuple[Array, Array]:
+    """Seen length and width (k, 2) in the pose's frame, and their standard deviation: inf where not seen.
+
+    A negative standard deviation marks a lower bound: the side is seen but one of its ends is open.
+    """
+    k = rows.shape[0]
+    seen, sigma = np.zeros((k, 2)), np.full((k, 2), np.inf)
+    for i in range(k):
+        c, s = np.cos(pose[i, 2]), np.sin(pose[i, 2])
+        n = rows[i, 1] - rows[i, 0]
+        if n < 3:
+            continue
+        lo, hi = np.full(2, 1e300), np.full(2, -1e300)
+        end = np.empty((2, 2))
+        q = np.empty((n, 2))
+        for r in range(n):
+            j = beams[rows[i, 0] + r]
+            dx, dy = W_p[j, 0] - pose[i, 0], W_p[j, 1] - pose[i, 1]
+            q[r, 0], q[r, 1] = c * dx + s * dy, c * dy - s * dx
+            for a in range(2):
+                lo[a], hi[a] = min(lo[a], q[r, a]), max(hi[a], q[r, a])
+        end[0], end[1] = q[0], q[n - 1]
+        j = beams[rows[i, 0]]
+        ex, ey = W_o[j, 0] - pose[i, 0], W_o[j, 1] - pose[i, 1]
+        eye = np.array([c * ex + s * ey, c * ey - s * ex])
+        for a in range(2):  # a = 0: the long side's extent lies along u
+            b = 1 - a
+            near = hi[b] if eye[b] > 0.0 else lo[b]
+            on_side = 0
+            for r in range(n):
+                if abs(q[r, b] - near) < 3.0 * noise:
+                    on_side += 1
+            if on_side < 3 or (eye[b] < hi[b] and eye[b] > lo[b]):
+                continue
+            corner = hi[b] - lo[b] > 6.0 * noise  # the other side is seen, so it ends this one
+            bounded, slack = True, 0.0
+            for limit in (lo[a], hi[a]):
+                facing = (limit - 0.5 * (lo[a] + hi[a])) * eye[a] > 0.0
+                if corner and facing and abs(eye[a]) > max(abs(lo[a]), abs(hi[a])):
+                    continue
+                e = 0 if abs(end[0, a] - limit) < abs(end[1, a] - limit) else 1
+                bounded = bounded and free[i, e] and abs(end[e, a] - limit) < 3.0 * noise
+                slack += gap[i, e]
+            seen[i, a] = hi[a] - lo[a] + (0.5 * slack if bounded else 0.0)
+            spread = np.hypot(noise, 0.3 * slack) if bounded else noise
+            sigma[i, a] = spread if bounded else -spread
+    return seen, sigma
+
+
+def learn(size: Array, seen: Array, sigma: Array, least: float) -> Array:
+    """Sizes (n, 4) [length, width, their standard deviations] after one more look.
+
+    A bounded side is a measurement; an open one only where it is longer than what was believed. `least` [m]:
+    floor of the believed standard deviation, so that later looks still count.
+    """
+    out = size.copy()
+    for a in range(2):
+        e, s = size[:, a], size[:, 2 + a]
+        bounded = np.isfinite(sigma[:, a]) & (sigma[:, a] > 0.0) & (np.abs(seen[:, a] - e) < 4.0 * np.hypot(s, sigma[:, a]))
+        grown = np.isfinite(sigma[:, a]) & (sigma[:, a] < 0.0) & (seen[:, a] > e + np.abs(sigma[:, a]))
+        used = bounded | grown
+        noise2 = np.where(used, 4.0 * sigma[:, a] ** 2, 1.0)
+        gain = np.where(used, s**2 / (s**2 + noise2), 0.0)
+        out[:, a] = e + gain * (np.where(used, seen[:, a], e) - e)
+        out[:, 2 + a] = np.maximum(np.sqrt(1.0 - gain) * s, least)
+    return out

@@ -1,0 +1,224 @@
+"""The one door to Numba: decorators, rk4, loops over tracks, and a compile cache that cannot go stale.
+
+Numba judges cached code by the time stamp of the function's own file; a function of another file that
+was inlined into it may change unnoticed. So the cache folder is named after the contents of the package.
+"""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar, cast
+
+import numba
+import numpy as np
+from numba.extending import overload, register_jitable
+
+from outrider.geometry import TAU
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+INNER = {
+    "error_model": "numpy",
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+}  # no way in from Python
+KEEP_S = 30 * 86400.0  # an older version's cache not used for this long is removed [s]
+
+
+def kernel(function: F) -> F:
+    """A pure component-wise function: runs as it is on numbers and NumPy arrays, and in `compiled` code."""
+    return cast(F, register_jitable(**INNER)(function))
+
+
+def compiled(function: F) -> F:
+    """A loop over arrays, compiled at its first call, kept on disk; divides as NumPy does, no GIL.
+
+    No fast-math: NaN and infinity keep their meaning. `function.py_func` is the original.
+    """
+    return cast(F, numba.njit(cache=True, error_model="numpy", nogil=True)(function))
+
+
+def fingerprint(package: Path) -> str:
+    """First 16 hex digits of the SHA-256 over names and contents of all Python files under `package`."""
+    digest = hashlib.sha256()
+    for path in sorted(package.rglob("*.py")):
+        content = path.read_bytes()
+        digest.update(f"{path.relative_to(package).as_posix()} {len(content)}\n".encode())
+        digest.update(content)
+    return digest.hexdigest()[:16]
+
+
+def cache_folder(base: Path, name: str) -> Path:
+    """Folder `name` under `base`, made and marked as used; a temporary one where that cannot be.
+
+    Siblings of other versions (same name up to the dash) that were not used for `KEEP_S` are removed.
+    """
+    folder = base / name
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        os.utime(folder)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError:
+        folder = Path(tempfile.mkdtemp(prefix=f"{name}-"))
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        return folder
+    for other in base.glob(name.split("-")[0] + "-*"):
+        if other != folder and other.is_dir() and not other.is_symlink() and _age(other) > KEEP_S:
+            shutil.rmtree(other, ignore_errors=True)
+    return folder
+
+
+def _age(path: Path) -> float:
+    try:
+        return time.time() - path.stat().st_mtime
+    except OSError:  # removed by another process meanwhile
+        return 0.0
+
+
+def _user_cache() -> Path:
+    base = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
+    return Path(base) / "outrider" if base else Path(os.path.expanduser("~")) / ".cache" / "outrider"
+
+
+if not os.environ.get("NUMBA_CACHE_DIR"):  # before anything is compiled
+    numba.config.CACHE_DIR = str(
+        cache_folder(_user_cache(), f"outrider-{fingerprint(Path(__file__).parent)}")
+    )
+
+
+# ------------------------------------------------------------------ tuple algebra, rk4
+
+
+@kernel
+def wrap(angle: Any) -> Any:
+    """Angle folded into [-pi, pi) [rad]; geometry.wrap without its slow remainder, for inner loops."""
+    return angle - TAU * np.floor(angle / TAU + 0.5)
+
+
+def axpy(a: Any, b: Any, h: Any) -> Any:
+    """a + h b, component by component: a named tuple of the type of `a`."""
+    return type(a)(*(p + h * q for p, q in zip(a, b, strict=True)))
+
+
+def from_row(cls: Any, row: Any) -> Any:
+    """Named tuple `cls` of the numbers in a row (len(cls._fields),)."""
+    return cls(*(float(value) for value in row))
+
+
+@kernel
+def to_row(values: Any, row: Any) -> None:
+    """Write a named tuple of numbers into a row (len(values),)."""
+    for i, value in enumerate(values):
+        row[i] = value
+
+
+def _compiled_axpy(a, b, h):  # type: ignore[no-untyped-def]
+    terms = ", ".join(f"a[{i}] + h * b[{i}]" for i in range(len(a)))
+    return eval(f"lambda a, b, h: cls({terms})", {"cls": a.instance_class})
+
+
+def _compiled_from_row(cls, row):  # type: ignore[no-untyped-def]
+    made = cls.instance_class
+    terms = ", ".join(f"row[{i}]" for i in range(len(made._fields)))
+    return eval(f"lambda cls, row: made({terms})", {"made": made})
+
+
+overload(axpy, jit_options=INNER)(_compiled_axpy)
+overload(from_row, jit_options=INNER)(_compiled_from_row)
+
+
+@kernel
+def rk4(rhs: Any, s: Any, y: Any, dy: Any, c: Any, dt: Any, n: Any) -> Any:
+    """State after dt [s] in n equal steps of the classical Runge-Kutta method; error of order (dt / n)^4.
+
+    s' = rhs(s, y(t), c), where the input y(t) = y + t dy runs along a straight line; s, y, dy named tuples.
+    """
+    h = dt / n
+    for i in range(n):
+        middle = axpy(y, dy, (i + 0.5) * h)
+        k1 = rhs(s, axpy(y, dy, i * h), c)
+        k2 = rhs(axpy(s, k1, 0.5 * h), middle, c)
+        k3 = rhs(axpy(s, k2, 0.5 * h), middle, c)
+        k4 = rhs(axpy(s, k3, h), axpy(y, dy, (i + 1) * h), c)
+        s = axpy(axpy(axpy(axpy(s, k1, h / 6.0), k2, h / 3.0), k3, h / 3.0), k4, h / 6.0)
+    return s
+
+
+# ------------------------------------------------------------------ drivers
+
+
+class Stream(NamedTuple):
+    """Compiled loops over tracks; track i is row i of every array; `index` (k,) int64 says which are touched.
+
+    `out` may be the array of states itself. dt (N,) [s]; measurements (N, n_measurements). All C-contiguous
+    float64: other layouts work, but each is compiled anew.
+    """
+
+    start_all: Any  # (first, second, dt, gains, index, out (N, n_states))
+    step_all: Any  # (states (N, n_states), previous, measurement, dt, gains, index, out (N, n_states))
+    predict_all: Any  # (states, dt, gains, index, out (N, n_states))
+    motion_all: Any  # (states, gains, index, out (N, n_motion))
+
+
+@lru_cache
+def stream(start: Any, step: Any, predict: Any, motion: Any, State: Any, Measurement: Any) -> Stream:
+    """Compiled loops over the rows of arrays, one call a scan, from four functions of one track."""
+
+    @compiled
+    def start_all(first, second, dt, gains, index, out):  # type: ignore[no-untyped-def]
+        for i in index:
+            y0, y1 = from_row(Measurement, first[i]), from_row(Measurement, second[i])
+            to_row(start(y0, y1, dt[i], gains), out[i])
+
+    @compiled
+    def step_all(states, previous, measurement, dt, gains, index, out):  # type: ignore[no-untyped-def]
+        for i in index:
+            s = from_row(State, states[i])
+            y0, y1 = from_row(Measurement, previous[i]), from_row(Measurement, measurement[i])
+            to_row(step(s, y0, y1, dt[i], gains), out[i])
+
+    @compiled
+    def predict_all(states, dt, gains, index, out):  # type: ignore[no-untyped-def]
+        for i in index:
+            to_row(predict(from_row(State, states[i]), dt[i], gains), out[i])
+
+    @compiled
+    def motion_all(states, gains, index, out):  # type: ignore[no-untyped-def]
+        for i in index:
+            to_row(motion(from_row(State, states[i]), gains), out[i])
+
+    return Stream(start_all, step_all, predict_all, motion_all)
+
+
+@lru_cache
+def batch(start: Any, step: Any, State: Any, Measurement: Any) -> Any:
+    """Compiled loop over recordings: run(measurements (N, T, m), dt (N, T), gains, out (N, T, n_states)).
+
+    dt[i, k] is the time from sample k - 1 to k of track i [s]. A track starts at its first two neighbouring
+    samples without NaN in the first two columns; rows of `out` before are NaN.
+    """
+
+    @compiled
+    def run(measurements, dt, gains, out):  # type: ignore[no-untyped-def]
+        for i in range(measurements.shape[0]):
+            started = False
+            out[i] = float("nan")
+            for k in range(1, measurements.shape[1]):
+                y0 = from_row(Measurement, measurements[i, k - 1])
+                y1 = from_row(Measurement, measurements[i, k])
+                if started:
+                    to_row(step(from_row(State, out[i, k - 1]), y0, y1, dt[i, k], gains), out[i, k])
+                elif y0[0] + y0[1] + y1[0] + y1[1] == y0[0] + y0[1] + y1[0] + y1[1]:
+                    to_row(start(y0, y1, dt[i, k], gains), out[i, k])
+                    started = True
+
+    return run

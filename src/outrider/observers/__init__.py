@@ -1,0 +1,130 @@
+"""Observers of one target vehicle: the contract, and the drivers that run any of them over many tracks.
+
+One file is one observer, named in the settings as the file is. To add one: docs/observers.md.
+Fixed frame W, lengths of the full-size world, angles counter-clockwise.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from importlib import import_module
+from pkgutil import iter_modules
+from typing import Any, NamedTuple, Protocol, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from outrider.errors import InputError
+
+Array = npt.NDArray[np.float64]
+
+
+class Measurement(NamedTuple):
+    """One vehicle in one scan; x or y not finite: not seen. Columns of a measurement array, in this order."""
+
+    x: float  # body centre in W [m]
+    y: float  # [m]
+    xx: float = 0.0  # covariance of the centre [m2]
+    xy: float = 0.0  # [m2]
+    yy: float = 0.0  # [m2]
+    heading: float = 0.0  # the way the body points [rad]
+    heading_variance: float = float("inf")  # [rad2]; inf: heading not known
+    length: float = 0.0  # of the body [m]
+    width: float = 0.0  # [m]
+
+
+class Motion(NamedTuple):
+    """What every observer estimates, whatever its state. Columns of a motion array, in this order."""
+
+    x: float  # body centre in W [m]
+    y: float  # [m]
+    speed: float  # along the course, negative when reversing [m/s]
+    acceleration: float  # along the course [m/s2]
+    course: float  # the way the centre moves when going forward, in [-pi, pi) [rad]
+    yaw: float  # the way the body points, in [-pi, pi) [rad]
+    slip: float  # course - yaw [rad]
+    yaw_rate: float  # [rad/s]
+
+
+class Observer(Protocol):
+    """The contract of a file in this folder: names at module level, functions pure and marked `@kernel`."""
+
+    reference: str  # where the equations are published
+    State: Any  # NamedTuple of floats, covariance and mode probabilities included where there are any
+    Gains: Any  # NamedTuple of floats (arrays are allowed, but not set by name), published values as defaults
+
+    def start(self, y0: Measurement, y1: Measurement, dt: float, gains: Any) -> Any:
+        """State at the time of y1 from two measurements dt [s] apart, finite if one of them is."""
+
+    def step(self, state: Any, previous: Measurement, measurement: Measurement, dt: float, gains: Any) -> Any:
+        """State at the time of `measurement`, dt [s] after `state`; dt not in (0, inf): unchanged.
+
+        `previous` was measured at the time of `state`. Where `measurement` is not finite the state is
+        predicted; where `previous` is not finite the state speaks for it.
+        """
+
+    def predict(self, state: Any, dt: float, gains: Any) -> Any:
+        """State after dt [s] without a measurement; dt not in (0, inf): unchanged."""
+
+    def motion(self, state: Any, gains: Any) -> Motion:
+        """The state in common terms."""
+
+    def certificate(self) -> Any:
+        """Proof of stability of the published gains, or None."""
+
+
+def names() -> list[str]:
+    """Names of all observers: the files of this folder."""
+    return sorted(module.name for module in iter_modules(__path__) if not module.name.startswith("_"))
+
+
+def get(name: str) -> Observer:
+    """Observer by name; InputError, with the nearest names, for an unknown one."""
+    if name not in names():
+        raise InputError(f"observer {name!r} is not known{_nearest(name, names())}")
+    return cast(Observer, import_module(f"{__name__}.{name}"))
+
+
+def gains_from(observer: Observer, values: Mapping[str, float]) -> Any:
+    """The observer's Gains with some numbers replaced; InputError for an unknown name or no finite number."""
+    gains = observer.Gains()
+    known = [name for name, value in gains._asdict().items() if isinstance(value, float)]
+    for name, value in values.items():
+        if name not in known:
+            raise InputError(f"observer.gains: {name!r} is not known{_nearest(name, known)}")
+        if not np.isfinite(value):
+            raise InputError(f"observer.gains: {name} = {value}; want a finite number")
+    return gains._replace(**{name: float(value) for name, value in values.items()})
+
+
+def _nearest(name: str, known: list[str]) -> str:
+    close = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    return f"; did you mean {', '.join(close)}?" if close else f"; want one of {', '.join(known)}"
+
+
+def stream(observer: Observer) -> Any:
+    """Compiled start_all, step_all, predict_all, motion_all over arrays of tracks (`kernel.Stream`)."""
+    from outrider import kernel
+
+    o = observer
+    return kernel.stream(o.start, o.step, o.predict, o.motion, o.State, Measurement)
+
+
+def batch(observer: Observer, measurements: Array, dt: Array, gains: Any) -> Array:
+    """States (N, T, n_states) of N tracks from measurements (N, T, 9), dt (N, T) since the last sample [s].
+
+    Bit for bit what `stream` gives. NaN before a track's first two neighbouring finite samples.
+    InputError where the shapes do not fit.
+    """
+    from outrider import kernel
+
+    y, dt = np.ascontiguousarray(measurements, float), np.ascontiguousarray(dt, float)
+    if y.ndim != 3 or y.shape[2] != len(Measurement._fields) or dt.shape != y.shape[:2]:
+        raise InputError(
+            f"measurements {y.shape} and dt {dt.shape}; want (N, T, {len(Measurement._fields)}) and (N, T)"
+        )
+    out = np.empty((*dt.shape, len(observer.State._fields)))
+    run = kernel.batch(observer.start, observer.step, observer.State, Measurement)
+    run(y, dt, gains, out)
+    return out

@@ -1,0 +1,49 @@
+"""The examples run as their first lines say, and what they print is right."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+def run(name, *arguments):
+    done = subprocess.run(
+        [sys.executable, str(EXAMPLES / f"{name}.py"), *map(str, arguments)], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def crossing(tmp_path_factory):
+    """Folder with a simulated recording of a car that crosses ahead, and its run; and what was printed."""
+    folder = tmp_path_factory.mktemp("examples")
+    return folder, run("simulate_and_evaluate", "crossing", folder)
+
+
+def test_every_example_is_tried():
+    text = Path(__file__).read_text()
+    assert [e.stem for e in sorted(EXAMPLES.glob("*.py")) if f'run("{e.stem}"' not in text] == []
+
+
+def test_simulate_and_evaluate(crossing):
+    _, printed = crossing
+    assert float(re.search(r"present (\d+\.\d) %", printed)[1]) > 80.0
+
+
+def test_print_warnings(crossing):
+    printed = run("print_warnings", crossing[0] / "crossing.mcap")
+    assert re.search(r"^ +\d+\.\d s  (none|notice|caution|danger)", printed, flags=re.M)
+
+
+def test_results_in_pandas(crossing):
+    """The car accelerates from 3 to 9 m/s, and is 4 to 5 m long."""
+    head, *rows = run("results_in_pandas", crossing[0] / "crossing").splitlines()
+    assert head.split() == ["seen_s", "mean_speed", "top_speed", "length", "width"]
+    best = max((row.split() for row in rows[1:]), key=lambda row: float(row[1]))
+    assert 6.0 < float(best[3]) < 12.0
+    assert 3.5 < float(best[4]) < 5.5
