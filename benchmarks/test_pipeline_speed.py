@@ -83,11 +83,12 @@ class Ours:
 
     def __init__(self, beams):
         self.scans = iter(prepare(messages(beams), "/scan", None, SETTINGS))
+        self.engine = pipeline.engine(SETTINGS)
         self.memory = pipeline.start(SETTINGS)
         self.frame = None
 
     def __call__(self):
-        self.memory, self.frame = pipeline.step(self.memory, next(self.scans), SETTINGS)
+        self.memory, self.frame = pipeline.step(self.memory, next(self.scans), SETTINGS, self.engine)
         return self.frame
 
     def confirmed(self):

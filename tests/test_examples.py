@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from outrider import io, simulate
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
@@ -35,9 +37,15 @@ def test_simulate_and_evaluate(crossing):
     assert float(re.search(r"present (\d+\.\d) %", printed)[1]) > 80.0
 
 
-def test_print_warnings(crossing):
-    printed = run("print_warnings", crossing[0] / "crossing.mcap")
-    assert re.search(r"^ +\d+\.\d s  (none|notice|caution|danger)", printed, flags=re.M)
+def test_print_warnings(tmp_path):
+    """The rider of the demo is on a collision course twice; 14 s in, a car touches it."""
+    io.write_recording(tmp_path / "demo.mcap", simulate.record(simulate.load("demo")))
+    printed = run("print_warnings", tmp_path / "demo.mcap")
+    danger = [
+        float(t) for t in re.findall(r"^ +(\d+\.\d) s  danger, track \d+ in \d\.\d s$", printed, flags=re.M)
+    ]
+    assert any(t < 6.4 for t in danger)
+    assert any(10.0 < t < 13.9 for t in danger)
 
 
 def test_results_in_pandas(crossing):

@@ -249,7 +249,7 @@ def test_what_reverses_too_fast_was_started_the_wrong_way_round() -> None:
     p = np.column_stack([1.0 * np.maximum(at - 2.0, 0.0) ** 2, 0.0 * at])
     y = measured(p, 0.0, np.random.default_rng(0))
     y[..., 5], y[..., 6] = np.pi, 0.01
-    s = observe(y, dt)[0]
+    s = observe(y, dt, Gains(heading=0.0))[0]
     assert s[:, 1][1:].min() >= -4.0
     assert s[-1, 1] == pytest.approx(2.0 * (at[-1] - 2.0), abs=0.3)
     assert np.abs(wrap(s[-1, 4] + s[-1, 5])) < 1e-6

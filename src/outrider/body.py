@@ -14,6 +14,8 @@ from outrider.records import Array, Bools, Ints
 # length, width, and how sure [m]: car, two-wheeler, pedestrian or part of something
 TEMPLATES = np.array([[4.3, 1.8, 0.5, 0.15], [1.8, 0.65, 0.3, 0.15], [0.7, 0.7, 0.5, 0.4]])
 
+GROWTH = 0.8  # how far beyond its believed outline a body may show itself in one scan [m]
+
 
 @compiled
 def free_ends(
@@ -39,28 +41,38 @@ def free_ends(
 
 @compiled
 def measure(
-    W_p: Array, W_o: Array, beams: Ints, rows: Ints, free: Bools, gap: Array, pose: Array, noise: float
+    W_p: Array,
+    W_o: Array,
+    beams: Ints,
+    rows: Ints,
+    free: Bools,
+    gap: Array,
+    pose: Array,
+    size: Array,
+    noise: float,
 ) -> tuple[Array, Array]:
     """Seen length and width (k, 2) in the pose's frame, and their standard deviation: inf where not seen.
 
-    A negative standard deviation marks a lower bound: the side is seen but one of its ends is open.
+    Returns more than GROWTH outside the rectangle of `size` (k, 2) belong to something else. A negative standard deviation marks a lower bound: the side is seen but one of its ends is open.
     """
     k = rows.shape[0]
     seen, sigma = np.zeros((k, 2)), np.full((k, 2), np.inf)
     for i in range(k):
         c, s = np.cos(pose[i, 2]), np.sin(pose[i, 2])
-        n = rows[i, 1] - rows[i, 0]
-        if n < 3:
-            continue
+        n = 0
         lo, hi = np.full(2, 1e300), np.full(2, -1e300)
         end = np.empty((2, 2))
-        q = np.empty((n, 2))
-        for r in range(n):
-            j = beams[rows[i, 0] + r]
-            dx, dy = W_p[j, 0] - pose[i, 0], W_p[j, 1] - pose[i, 1]
-            q[r, 0], q[r, 1] = c * dx + s * dy, c * dy - s * dx
+        q = np.empty((rows[i, 1] - rows[i, 0], 2))
+        for r in range(rows[i, 0], rows[i, 1]):
+            dx, dy = W_p[beams[r], 0] - pose[i, 0], W_p[beams[r], 1] - pose[i, 1]
+            q[n, 0], q[n, 1] = c * dx + s * dy, c * dy - s * dx
+            if abs(q[n, 0]) > 0.5 * size[i, 0] + GROWTH or abs(q[n, 1]) > 0.5 * size[i, 1] + GROWTH:
+                continue
             for a in range(2):
-                lo[a], hi[a] = min(lo[a], q[r, a]), max(hi[a], q[r, a])
+                lo[a], hi[a] = min(lo[a], q[n, a]), max(hi[a], q[n, a])
+            n += 1
+        if n < 3:
+            continue
         end[0], end[1] = q[0], q[n - 1]
         j = beams[rows[i, 0]]
         ex, ey = W_o[j, 0] - pose[i, 0], W_o[j, 1] - pose[i, 1]
@@ -98,7 +110,11 @@ def learn(size: Array, seen: Array, sigma: Array, least: float) -> Array:
     out = size.copy()
     for a in range(2):
         e, s = size[:, a], size[:, 2 + a]
-        bounded = np.isfinite(sigma[:, a]) & (sigma[:, a] > 0.0) & (np.abs(seen[:, a] - e) < 4.0 * np.hypot(s, sigma[:, a]))
+        bounded = (
+            np.isfinite(sigma[:, a])
+            & (sigma[:, a] > 0.0)
+            & (np.abs(seen[:, a] - e) < 4.0 * np.hypot(s, sigma[:, a]))
+        )
         grown = np.isfinite(sigma[:, a]) & (sigma[:, a] < 0.0) & (seen[:, a] > e + np.abs(sigma[:, a]))
         used = bounded | grown
         noise2 = np.where(used, 4.0 * sigma[:, a] ** 2, 1.0)

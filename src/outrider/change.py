@@ -16,7 +16,9 @@ SAME, FARTHER, NEARER, NOTHING = 0, 1, 2, 3
 
 
 @compiled
-def _look(px: float, py: float, r: Array, valid: Bools, W_o: Array, angle0: float, step: float, margin: float) -> int:
+def _look(
+    px: float, py: float, r: Array, valid: Bools, W_o: Array, angle0: float, step: float, margin: Array
+) -> int:
     """What a scan says of the point (px, py): a surface there, one farther on, one nearer, or no return."""
     n = r.shape[0]
     turn = int(np.round(2.0 * np.pi / abs(step)))
@@ -33,10 +35,12 @@ def _look(px: float, py: float, r: Array, valid: Bools, W_o: Array, angle0: floa
         if j < n and valid[j]:
             lo, hi = min(lo, r[j]), max(hi, r[j])
     if hi < 0.0:
-        return NOTHING
-    if d < lo - margin:
+        answered = valid[(k - 2) % turn % n] or valid[(k + 2) % turn % n]
+        return NEARER if answered else NOTHING  # one that answers close by makes the silence mean little
+    least = margin[0] + margin[1] * d
+    if d < lo - least:
         return FARTHER
-    return SAME if d <= hi + margin else NEARER
+    return SAME if d <= hi + least else NEARER
 
 
 @compiled
@@ -48,21 +52,33 @@ def _outside(px: float, py: float, box: Array, margin: float) -> bool:
 
 @compiled
 def _ask(
-    p: Array, r: Array, valid: Bools, W_o: Array, angle0: float, step: float, box: Array, other: Array, margin: float,
+    p: Array,
+    r: Array,
+    valid: Bools,
+    W_o: Array,
+    angle0: float,
+    step: float,
+    box: Array,
+    other: Array,
+    margin: Array,
     votes: Array,
 ) -> None:
     """Returns p (n, 2) inside `box` and outside `other`: what the scan (r, valid, W_o) says of them."""
     for i in range(p.shape[0]):
-        if np.isnan(p[i, 0]) or _outside(p[i, 0], p[i, 1], box, margin) or not _outside(p[i, 0], p[i, 1], other, margin):
+        if (
+            np.isnan(p[i, 0])
+            or _outside(p[i, 0], p[i, 1], box, margin[0])
+            or not _outside(p[i, 0], p[i, 1], other, margin[0])
+        ):
             continue
         votes[_look(p[i, 0], p[i, 1], r, valid, W_o, angle0, step, margin)] += 1.0
 
 
-def votes(scan: Scan, box: Array, earlier: Scan, earlier_box: Array, margin: float) -> Array:
+def votes(scan: Scan, box: Array, earlier: Scan, earlier_box: Array, margin: Array) -> Array:
     """(4,) how many returns say: same, gone or new, hidden, unknown.
 
     box, earlier_box (5,): x, y, heading, length, width of the body now and at the earlier scan, fixed frame W;
-    margin [m]: distance below which two surfaces are the same.
+    margin (2,) [m, m/m]: distance below which two surfaces are the same, and what each metre of range adds to it.
     """
     out = np.zeros(4)
     for here, there, mine, other in ((scan, earlier, box, earlier_box), (earlier, scan, earlier_box, box)):
@@ -70,6 +86,15 @@ def votes(scan: Scan, box: Array, earlier: Scan, earlier_box: Array, margin: flo
         step = float(there.angle[-1] - there.angle[0]) / max(n - 1, 1)
         if step != 0.0:
             _ask(
-                here.W_p, there.range, there.valid, there.W_sensor, float(there.angle[0]), step, mine, other, margin, out
+                here.W_p,
+                there.range,
+                there.valid,
+                there.W_sensor,
+                float(there.angle[0]),
+                step,
+                mine,
+                other,
+                margin,
+                out,
             )
     return out

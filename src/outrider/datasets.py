@@ -88,6 +88,16 @@ _DATMO_SETTINGS: Mapping[str, Mapping[str, Any]] = {
     },
     "mount": {"x_m": -0.1686, "y_m": 0.0220, "yaw_rad": 0.0020},
     "rider": {"length_m": 4.2, "width_m": 2.0},
+    # Ten times the noise of the lidar, and model cars that are ten times as agile as street cars.
+    "detect": {
+        "range_noise_m": 0.1,
+        "shape_noise_m": 0.1,
+        "max_gap_beams": 6,
+        "body_length_m": 4.2,
+        "body_width_m": 2.0,
+    },
+    "track": {"acceleration_noise": 15.0, "yaw_acceleration_noise": 6.0, "moving_speed_mps": 1.0},
+    "observer": {"gains": {"speed": 3.0, "orientation": 1.43, "heading": 30.0}},
 }
 
 

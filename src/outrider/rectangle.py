@@ -153,6 +153,8 @@ def _normal_equations(
         ku, kv = -side * np.copysign(a, nu), -side * np.copysign(b, nv)
         dcx, dcy = -s * ku - c * kv, c * ku - s * kv
         J[0], J[1], J[2] = -side * nx / sigma, -side * ny / sigma, -side * (nx * dcx + ny * dcy) / sigma
+        if weight[i] < 1.0:  # silence may move a body, not turn it
+            J[2] = 0.0
         for k in range(3):
             g[k] += w * J[k] * r
             for m in range(3):

@@ -40,7 +40,11 @@ def _breaks(W_p: Array, W_o: Array, angle: Array, beam_t: Array, beams: Ints, li
         ra = np.hypot(W_p[a, 0] - W_o[a, 0], W_p[a, 1] - W_o[a, 1])
         rb = np.hypot(W_p[b, 0] - W_o[b, 0], W_p[b, 1] - W_o[b, 1])
         gap = np.hypot(W_p[b, 0] - W_p[a, 0], W_p[b, 1] - W_p[a, 1]) + 1e-9
-        if abs(beam_t[b] - beam_t[a]) > 0.5 * turn_s > 0.0 or turn > (max_gap + 1.5) * increment or turn > 0.9 * lam:
+        if (
+            abs(beam_t[b] - beam_t[a]) > 0.5 * turn_s > 0.0
+            or turn > (max_gap + 1.5) * increment
+            or turn > 0.9 * lam
+        ):
             out[i] = gap
             continue
         reach = min(ra, rb) * np.sin(turn) / np.sin(lam - turn) + 3.0 * noise

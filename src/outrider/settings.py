@@ -8,6 +8,7 @@ recording's own metres. Sources of the numbers are in docs/settings.md.
 from __future__ import annotations
 
 import difflib
+import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -83,13 +84,14 @@ class Track(Section, frozen=True):
     yaw_acceleration_noise: float = 4.0  # its white yaw acceleration [rad/s2]
     moving_speed_mps: float = 0.7  # slower is not called moving
     moving_distance_m: float = 0.6  # net way before a track is called moving
+    drift_per_range: float = 0.02  # how far a standing body seems to wander, per metre of range
 
 
 class Observer(Section, frozen=True):
-    """Which observer, by name of its file in observers/, and gains that differ from the published ones."""
+    """Which observer, by name of its file in observers/, and gains that differ from its defaults."""
 
     name: str = "multi_stage"  # file in observers/
-    gains: dict[str, float] = {}  # gain by name, where it differs from the published one
+    gains: dict[str, float] = {}  # gain by name, where it differs from the observer's default
 
 
 class Threat(Section, frozen=True):
@@ -192,6 +194,11 @@ def dump(settings: Settings) -> str:
         lines += [f"{key} = {_toml(value)}" for key, value in values.items() if value is not None]
         lines.append("")
     return "\n".join(lines)
+
+
+def fingerprint(settings: Settings) -> str:
+    """First 16 hex digits of the SHA-256 of the settings as `dump` writes them."""
+    return hashlib.sha256(dump(settings).encode()).hexdigest()[:16]
 
 
 def _toml(value: Any) -> str:

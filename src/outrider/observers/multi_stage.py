@@ -65,7 +65,7 @@ class Gains(NamedTuple):
     l_r: float = 2.0  # body centre to rear axle, eq. 10 [m]
     speed: float = 1.0  # the poles of the speed observer times this [-]
     orientation: float = 1.0  # both columns of Table I times this [-]
-    heading: float = 0.0  # correction of the yaw by the rectangle's heading; 0: as published [1/s]
+    heading: float = 30.0  # correction of the yaw by the rectangle's heading; 0: as published [1/s]
     noise: float = 0.02  # least standard deviation of a measured position [m]
     gate: float = 2.0  # a way shorter than this many standard deviations has no direction [-]
     coast: float = 1.0  # time constant with which the acceleration fades while nothing is measured [s]

@@ -1,0 +1,93 @@
+"""What moves and what stands, which end of a body is its front."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from outrider import change
+from outrider.book import Book
+from outrider.geometry import wrap
+from outrider.records import Ints, Scan, TrackState
+from outrider.settings import Settings
+
+SIGNIFICANT = 3.0  # speed over its standard deviation, to be called moving
+SLOW_S = 2.0  # a body slower than half the moving speed for longer is static
+HISTORY_S = 3.0  # how far back earlier scans are kept
+HISTORY_STEP_S = 0.2
+
+
+def direct(book: Book, rows: Ints, scan: Scan, settings: Settings) -> None:
+    """Until the front is known it is the end that leads; a body that never moved faces the way the rider does."""
+    free = rows[~book.directed[rows]]
+    v = book.x[free, 2:4]
+    speed = np.hypot(v[:, 0], v[:, 1])
+    sure = speed > SIGNIFICANT * np.sqrt(book.P[free, 2, 2] + book.P[free, 3, 3])
+    leads = sure & (speed > 0.5 * settings.track.moving_speed_mps)
+    towards = np.where(leads, np.arctan2(v[:, 1], v[:, 0]), scan.ego.W_pose[2])
+    turn = wrap(towards - book.x[free, 4])
+    flip = free[(np.abs(turn) > 0.5 * np.pi)]
+    book.x[flip, 4] = wrap(book.x[flip, 4] + np.pi)
+    book.z[flip, 5] = wrap(book.z[flip, 5] + np.pi)
+
+
+def judge(book: Book, rows: Ints, scan: Scan, earlier: tuple[Scan, ...], settings: Settings) -> None:
+    """Tentative, static or moving: by sightings, by speed, and by what earlier scans say of the same places."""
+    t = settings.track
+    window = (1 << t.confirm_window) - 1
+    speed = np.hypot(book.x[:, 2], book.x[:, 3])
+    sure = speed > SIGNIFICANT * np.sqrt(book.P[:, 2, 2] + book.P[:, 3, 3])
+    fast = sure & (speed > t.moving_speed_mps)
+    for i in rows:
+        if book.state[i] == TrackState.TENTATIVE:
+            if int(book.sightings[i] & window).bit_count() >= t.confirm_hits:
+                book.state[i] = TrackState.STATIC
+            else:
+                continue
+        shifted = (
+            _shifted(book, i, float(speed[i]), scan, earlier, settings)
+            if speed[i] > 0.5 * t.moving_speed_mps
+            else 0
+        )
+        if shifted is not None:
+            book.shifts[i] = ((book.shifts[i] << 1) | shifted) & 0xFF
+        moving = book.state[i] in (TrackState.CONFIRMED, TrackState.COASTING)
+        if not moving and fast[i] and int(book.shifts[i] & 7).bit_count() >= 2:
+            book.state[i], book.slow_since[i], book.directed[i] = TrackState.CONFIRMED, np.inf, True
+        elif moving:
+            slow = speed[i] < 0.5 * t.moving_speed_mps
+            book.slow_since[i] = min(book.slow_since[i], scan.t) if slow else np.inf
+            stood = scan.t - book.slow_since[i] > SLOW_S
+            ghost = shifted == 0 and not slow and book.shifts[i] & 0x1F == 0
+            book.state[i] = TrackState.STATIC if stood or ghost else TrackState.CONFIRMED
+    missed = (book.hits == 0) & (book.state == TrackState.CONFIRMED)
+    book.state[missed] = TrackState.COASTING
+    still = book.state == TrackState.STATIC
+    book.observed[still] = False
+
+
+def _shifted(
+    book: Book, i: int, speed: float, scan: Scan, earlier: tuple[Scan, ...], settings: Settings
+) -> int | None:
+    """1 where an earlier scan agrees that the body has moved, 0 where it does not, None where it cannot say."""
+    drift = settings.track.drift_per_range
+    away = float(np.hypot(*(book.x[i, :2] - scan.ego.W_pose[:2])))
+    noise = 3.0 * float(np.hypot(settings.detect.range_noise_m, settings.detect.shape_noise_m))
+    least = 0.15 + noise
+    way = max(settings.track.moving_distance_m, 1.5 * (least + drift * away))
+    old = next((s for s in reversed(earlier) if (scan.t - s.t) * speed > way and scan.t - s.t > 0.15), None)
+    if old is None:
+        return None if not earlier or (scan.t - earlier[0].t) < HISTORY_S - 2 * HISTORY_STEP_S else 0
+    age = book.seen[i] - old.t
+    box = np.array([book.x[i, 0], book.x[i, 1], book.x[i, 4], book.size[i, 0], book.size[i, 1]])
+    old_box = box - np.array([book.x[i, 2] * age, book.x[i, 3] * age, book.x[i, 5] * age, 0.0, 0.0])
+    same, changed, _hidden, unknown = change.votes(scan, box, old, old_box, np.array([least, drift]))
+    score = changed + 0.5 * unknown
+    if score + same < 2.0:
+        return None
+    return int(same <= 0.3 * score)
+
+
+def remember(earlier: tuple[Scan, ...], scan: Scan) -> tuple[Scan, ...]:
+    """Earlier scans with this one, thinned to one every HISTORY_STEP_S and none older than HISTORY_S."""
+    kept = tuple(s for s in earlier if scan.t - s.t <= HISTORY_S)
+    return kept if kept and scan.t - kept[-1].t < HISTORY_STEP_S else (*kept, scan)

@@ -1,0 +1,53 @@
+"""One scan further: the only file that knows the order of the steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from outrider import alert as alerts
+from outrider.alert import AlertMemory
+from outrider.book import TrackMemory
+from outrider.detect import detect
+from outrider.records import Frame, Scan
+from outrider.repair import restarts
+from outrider.settings import Settings
+from outrider.threat import assess
+from outrider.tracker import Engine, update
+from outrider.tracker import engine as engine  # made once for a run, handed to every step
+from outrider.tracker import start as no_tracks
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """What one scan hands to the next."""
+
+    tracks: TrackMemory
+    alerts: AlertMemory
+
+
+def start(settings: Settings) -> Memory:
+    """Memory before the first scan; InputError for an observer or gain that is not known."""
+    return Memory(no_tracks(settings), alerts.start())
+
+
+def restart(memory: Memory, settings: Settings) -> Memory:
+    """Memory after clock or fixed frame became another: no track lives on, no identity is used twice."""
+    nothing = no_tracks(settings)
+    tracks = TrackMemory(nothing.book, memory.tracks.next_id, nothing.earlier)
+    return Memory(tracks, AlertMemory(memory.alerts.t, {}))
+
+
+def step(memory: Memory, scan: Scan, settings: Settings, engine: Engine) -> tuple[Memory, Frame]:
+    """One scan to its alert: detections, tracks, threats, alert; full-size lengths, fixed frame W.
+
+    Any scan that `scan.ScanStream` gives is taken, also one without beams or without a valid one. The engine
+    is that of `engine(settings)`. Raises InputError for settings that contradict each other.
+    """
+    if restarts(scan):
+        memory = restart(memory, settings)
+    segments, seen = detect(scan, settings.detect)
+    tracked, detections, tracks = update(memory.tracks, scan, segments, seen, settings, engine)
+    threats = assess(tracks, scan.ego, settings.rider, settings.threat)
+    trust = alerts.health(scan, memory.alerts.t, settings.alert)
+    alerted, warning = alerts.alert(memory.alerts, threats, tracks, trust, settings.alert)
+    return Memory(tracked, alerted), Frame(scan.t, scan, detections, tracks, threats, warning)
