@@ -9,7 +9,7 @@ PACKAGE = Path(__file__).parents[1] / "src" / "outrider"
 
 # Lowest first; a file may import only from rows above its own. A folder stands for all files in it.
 LEVELS = [
-    {"errors", "geometry"},
+    {"errors", "geometry", "interrupt"},
     {"records", "settings", "kernel", "scenario"},
     {"models"},
     {"observers"},

@@ -15,7 +15,7 @@ from outrider import predictor
 from outrider.geometry import rotate
 from outrider.kernel import compiled
 from outrider.records import Array, Bools, Detections, Ints, Kind, Scan
-from outrider.rectangle import MOST_HITS, fit_sized, solve3
+from outrider.rectangle import MOST_HITS, copy, fit_sized, solve3
 from outrider.segment import Segments
 from outrider.settings import Settings
 
@@ -120,9 +120,9 @@ def fit_pairs(
     returns used (k,).
     """
     k = prior.shape[0]
-    pose, cov, cost = np.empty((k, 3)), np.empty((k, 3, 3)), np.empty(k)
+    pose, cov, cost = np.empty((k, 3)), np.ones((k, 3, 3)), np.empty(k)
     sides, hits = np.zeros(k, np.int64), np.zeros(k, np.int64)
-    z, A, begin, box = np.empty(3), np.empty((3, 3)), np.empty(3), np.empty(5)
+    z, N, begin, box = np.empty(3), np.empty((3, 4)), np.empty(3), np.empty(5)
     for i in range(k):
         box[0], box[1], box[2], box[3], box[4] = prior[i, 0], prior[i, 1], prior[i, 2], size[i, 0], size[i, 1]
         p, o, far, far_o, weight = _gather(
@@ -141,8 +141,9 @@ def fit_pairs(
             2.0 * prior[i, 3],
         )
         hits[i] = p.shape[0]
-        cost[i], pose[i], cov[i] = 1e3, prior[i, :3], np.eye(3)
+        copy(prior[i], pose[i])
         if p.shape[0] == 0:
+            cost[i] = 1e3
             continue
         best = 1e300
         for m in range(turns.shape[1]):
@@ -151,28 +152,26 @@ def fit_pairs(
             ):
                 continue
             begin[0], begin[1], begin[2] = prior[i, 0], prior[i, 1], prior[i, 2] + turns[i, m]
-            c, seen = fit_sized(begin, p, o, far, far_o, weight, prior[i], size[i], scale, z, A)
+            c, seen = fit_sized(begin, p, o, far, far_o, weight, prior[i], size[i], scale, z, N)
             if c < best:
                 best = c
-                pose[i] = z
+                copy(z, pose[i])
                 sides[i] = seen
-                _covariance(A, prior[i], cov[i])
+                _covariance(N, prior[i], cov[i])
         cost[i] = best / p.shape[0]
     return pose, cov, cost, sides, hits
 
 
 @compiled
-def _covariance(A: Array, prior: Array, out: Array) -> None:
-    """Inverse of the information in A less nine tenths of the prior's, so that an unseen direction stays open."""
-    B = A.copy()
-    B[0, 0] -= 0.9 * prior[3] ** -2
-    B[1, 1] -= 0.9 * prior[3] ** -2
-    B[2, 2] -= 0.9 * prior[4] ** -2
-    e = np.zeros(3)
+def _covariance(N: Array, prior: Array, out: Array) -> None:
+    """Inverse of the information in N less nine tenths of the prior's, so that an unseen direction stays open."""
+    N[0, 0] -= 0.9 / prior[3] ** 2
+    N[1, 1] -= 0.9 / prior[3] ** 2
+    N[2, 2] -= 0.9 / prior[4] ** 2
     for k in range(3):
-        e[:] = 0.0
-        e[k] = 1.0
-        out[0, k], out[1, k], out[2, k] = solve3(B, e)
+        for m in range(3):
+            N[m, 3] = 1.0 if m == k else 0.0
+        out[0, k], out[1, k], out[2, k] = solve3(N, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,8 +223,8 @@ def fit(
         rows,
         t,
         prior,
-        x[:, 2:4],
-        size,
+        np.ascontiguousarray(x[:, 2:4]),
+        np.ascontiguousarray(size),
         turns,
         scale,
     )

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from outrider.geometry import wrap
 from outrider.kernel import compiled
-from outrider.records import Array, Bools, Ints
+from outrider.records import Array, Bools, Ints, Scan
 
 # length, width, and how sure [m]: car, two-wheeler, pedestrian or part of something
 TEMPLATES = np.array([[4.3, 1.8, 0.5, 0.15], [1.8, 0.65, 0.3, 0.15], [0.7, 0.7, 0.5, 0.4]])
@@ -17,26 +18,17 @@ TEMPLATES = np.array([[4.3, 1.8, 0.5, 0.15], [1.8, 0.65, 0.3, 0.15], [0.7, 0.7, 
 GROWTH = 0.8  # how far beyond its believed outline a body may show itself in one scan [m]
 
 
-@compiled
-def free_ends(
-    W_p: Array, W_o: Array, angle: Array, beams: Ints, rows: Ints, max_turn: float, behind: float
-) -> tuple[Bools, Array]:
+def free_ends(scan: Scan, beams: Ints, rows: Ints, max_turn: float, behind: float) -> tuple[Bools, Array]:
     """Whether the beam next to each end of beams rows[:, 0]..rows[:, 1] went past it, and the gap it left.
 
+    max_turn [rad]: further off a beam is no neighbour; behind [m]: by how much it must have gone past.
     (k, 2) bool, first and last end; (k, 2) width [m] of the gap between the last return and that beam.
     """
-    k, m = rows.shape[0], beams.shape[0]
-    free, gap = np.zeros((k, 2), np.bool_), np.zeros((k, 2))
-    for i in range(k):
-        for side in range(2):
-            j = beams[rows[i, 0]] if side == 0 else beams[rows[i, 1] - 1]
-            q = beams[(rows[i, 0] - 1) % m] if side == 0 else beams[rows[i, 1] % m]
-            turn = abs((angle[q] - angle[j] + np.pi) % (2.0 * np.pi) - np.pi)
-            rj = np.hypot(W_p[j, 0] - W_o[j, 0], W_p[j, 1] - W_o[j, 1])
-            rq = np.hypot(W_p[q, 0] - W_o[q, 0], W_p[q, 1] - W_o[q, 1])
-            free[i, side] = turn < max_turn and rq > rj + behind
-            gap[i, side] = rj * turn
-    return free, gap
+    own = beams[rows - [0, 1]] if len(rows) else rows
+    beside = beams[(rows - [1, 0]) % len(beams)] if len(rows) else rows
+    turn = np.abs(wrap(scan.angle[beside] - scan.angle[own]))
+    free = (turn < max_turn) & (scan.range[beside] > scan.range[own] + behind)
+    return free, scan.range[own] * turn
 
 
 @compiled
@@ -53,15 +45,17 @@ def measure(
 ) -> tuple[Array, Array]:
     """Seen length and width (k, 2) in the pose's frame, and their standard deviation: inf where not seen.
 
-    Returns more than GROWTH outside the rectangle of `size` (k, 2) belong to something else. A negative standard deviation marks a lower bound: the side is seen but one of its ends is open.
+    Returns more than GROWTH outside the rectangle of `size` (k, 2) belong to something else.
+    A negative standard deviation marks a lower bound: the side is seen, but one of its ends is open.
     """
     k = rows.shape[0]
-    seen, sigma = np.zeros((k, 2)), np.full((k, 2), np.inf)
+    seen, sigma = np.zeros((k, 2)), np.zeros((k, 2))
+    lo, hi, eye, end = np.empty(2), np.empty(2), np.empty(2), np.empty((2, 2))
     for i in range(k):
         c, s = np.cos(pose[i, 2]), np.sin(pose[i, 2])
         n = 0
-        lo, hi = np.full(2, 1e300), np.full(2, -1e300)
-        end = np.empty((2, 2))
+        for a in range(2):
+            sigma[i, a], lo[a], hi[a] = np.inf, 1e300, -1e300
         q = np.empty((rows[i, 1] - rows[i, 0], 2))
         for r in range(rows[i, 0], rows[i, 1]):
             dx, dy = W_p[beams[r], 0] - pose[i, 0], W_p[beams[r], 1] - pose[i, 1]
@@ -73,10 +67,11 @@ def measure(
             n += 1
         if n < 3:
             continue
-        end[0], end[1] = q[0], q[n - 1]
+        for a in range(2):
+            end[0, a], end[1, a] = q[0, a], q[n - 1, a]
         j = beams[rows[i, 0]]
         ex, ey = W_o[j, 0] - pose[i, 0], W_o[j, 1] - pose[i, 1]
-        eye = np.array([c * ex + s * ey, c * ey - s * ex])
+        eye[0], eye[1] = c * ex + s * ey, c * ey - s * ex
         for a in range(2):  # a = 0: the long side's extent lies along u
             b = 1 - a
             near = hi[b] if eye[b] > 0.0 else lo[b]

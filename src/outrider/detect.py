@@ -23,7 +23,7 @@ def _describe(
         t = 0.0
         for k in range(keep):
             j = beams[start[i] + (k * (n - 1)) // max(keep - 1, 1)]
-            p[k] = W_p[j]
+            p[k, 0], p[k, 1] = W_p[j, 0], W_p[j, 1]
             t += beam_t[j]
         if keep == 1:
             out[i, 0], out[i, 1], out[i, 2], out[i, 3], out[i, 4] = p[0, 0], p[0, 1], 0.0, 0.0, 0.0

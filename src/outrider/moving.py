@@ -10,10 +10,12 @@ from outrider.geometry import wrap
 from outrider.records import Ints, Scan, TrackState
 from outrider.settings import Settings
 
+TENTATIVE, CONFIRMED, COASTING, STATIC = (int(state) for state in TrackState)
 SIGNIFICANT = 3.0  # speed over its standard deviation, to be called moving
 SLOW_S = 2.0  # a body slower than half the moving speed for longer is static
 HISTORY_S = 3.0  # how far back earlier scans are kept
 HISTORY_STEP_S = 0.2
+LOOK_AGAIN_S = 0.4  # what moves is asked again whether it really does, this often
 
 
 def direct(book: Book, rows: Ints, scan: Scan, settings: Settings) -> None:
@@ -33,36 +35,35 @@ def direct(book: Book, rows: Ints, scan: Scan, settings: Settings) -> None:
 def judge(book: Book, rows: Ints, scan: Scan, earlier: tuple[Scan, ...], settings: Settings) -> None:
     """Tentative, static or moving: by sightings, by speed, and by what earlier scans say of the same places."""
     t = settings.track
-    window = (1 << t.confirm_window) - 1
-    speed = np.hypot(book.x[:, 2], book.x[:, 3])
-    sure = speed > SIGNIFICANT * np.sqrt(book.P[:, 2, 2] + book.P[:, 3, 3])
-    fast = sure & (speed > t.moving_speed_mps)
-    for i in rows:
-        if book.state[i] == TrackState.TENTATIVE:
-            if int(book.sightings[i] & window).bit_count() >= t.confirm_hits:
-                book.state[i] = TrackState.STATIC
-            else:
-                continue
-        shifted = (
-            _shifted(book, i, float(speed[i]), scan, earlier, settings)
-            if speed[i] > 0.5 * t.moving_speed_mps
-            else 0
-        )
+    _confirm(book, rows, settings)
+    rows = rows[book.state[rows] != TENTATIVE]
+    speed = np.hypot(book.x[rows, 2], book.x[rows, 3])
+    sure = speed > SIGNIFICANT * np.sqrt(book.P[rows, 2, 2] + book.P[rows, 3, 3])
+    slow = speed < 0.5 * t.moving_speed_mps
+    moving = (book.state[rows] == CONFIRMED) | (book.state[rows] == COASTING)
+    due = ~slow & (~moving | (scan.t - book.looked[rows] > LOOK_AGAIN_S))
+    for i, v in zip(rows[due], speed[due], strict=True):
+        shifted = _shifted(book, i, float(v), scan, earlier, settings)
         if shifted is not None:
+            book.looked[i] = scan.t
             book.shifts[i] = ((book.shifts[i] << 1) | shifted) & 0xFF
-        moving = book.state[i] in (TrackState.CONFIRMED, TrackState.COASTING)
-        if not moving and fast[i] and int(book.shifts[i] & 7).bit_count() >= 2:
-            book.state[i], book.slow_since[i], book.directed[i] = TrackState.CONFIRMED, np.inf, True
-        elif moving:
-            slow = speed[i] < 0.5 * t.moving_speed_mps
-            book.slow_since[i] = min(book.slow_since[i], scan.t) if slow else np.inf
-            stood = scan.t - book.slow_since[i] > SLOW_S
-            ghost = shifted == 0 and not slow and book.shifts[i] & 0x1F == 0
-            book.state[i] = TrackState.STATIC if stood or ghost else TrackState.CONFIRMED
-    missed = (book.hits == 0) & (book.state == TrackState.CONFIRMED)
-    book.state[missed] = TrackState.COASTING
-    still = book.state == TrackState.STATIC
-    book.observed[still] = False
+    book.shifts[rows[slow & ~moving]] = 0
+    agreed = np.bitwise_count(book.shifts[rows] & 0b111) >= 2
+    begins = ~moving & sure & (speed > t.moving_speed_mps) & agreed
+    book.slow_since[rows] = np.where(slow & ~begins, np.minimum(book.slow_since[rows], scan.t), np.inf)
+    ends = moving & ((scan.t - book.slow_since[rows] > SLOW_S) | (book.shifts[rows] & 0b111 == 0))
+    book.directed[rows[begins]] = True
+    book.state[rows[moving | begins]] = CONFIRMED
+    book.state[rows[ends]] = STATIC
+    book.state[(book.hits == 0) & (book.state == CONFIRMED)] = COASTING
+    book.observed[book.state == STATIC] = False
+
+
+def _confirm(book: Book, rows: Ints, settings: Settings) -> None:
+    """Tentative tracks that were seen often enough are taken to stand until they are seen to move."""
+    window = (1 << settings.track.confirm_window) - 1
+    often = np.bitwise_count(book.sightings[rows] & window) >= settings.track.confirm_hits
+    book.state[rows[often & (book.state[rows] == TENTATIVE)]] = STATIC
 
 
 def _shifted(

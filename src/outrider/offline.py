@@ -6,14 +6,11 @@ divided by the scale again. Times are the recording's own clock [s].
 
 from __future__ import annotations
 
-import signal
-import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -22,9 +19,10 @@ from outrider import pipeline
 from outrider import settings as st
 from outrider.datasets import open_any
 from outrider.errors import InputError
+from outrider.interrupt import Interrupts
 from outrider.io import Chosen, Message, Recording, choose_topics
 from outrider.io._recording import POSE_TYPE, SCAN_TYPE, Topic
-from outrider.records import Frame, LaserScan
+from outrider.records import Frame, LaserScan, Pose
 from outrider.scan import ScanStream
 from outrider.tally import Tally
 from outrider.timing import HEAD, TimingEstimate, survey
@@ -212,20 +210,21 @@ def write(
 
     settings, tally = opened.settings, Tally()
     engine, memory = pipeline.engine(settings), pipeline.start(settings)
-    with RunWriter(folder, settings, force=force, about=_about(opened)) as writer:
+    with Interrupts() as ctrl_c, RunWriter(folder, settings, force=force, about=_about(opened)) as writer:
         try:
             for scan in opened.stream:
                 begin = time.perf_counter()
                 memory, frame = pipeline.step(memory, scan, settings, engine)
                 tally.add(frame, time.perf_counter() - begin)
-                with _whole():
+                with ctrl_c.held():
                     writer.write(frame)
                 if watch:
                     watch(frame)
-            writer.close(_summary(opened, tally))
+            with ctrl_c.held():
+                writer.close(_summary(opened, tally))
         except (KeyboardInterrupt, InputError) as error:
             told = str(error) or "stopped by Ctrl-C"
-            with _whole():
+            with suppress(KeyboardInterrupt), ctrl_c.held():  # asked for again, it ends all the same
                 writer.close({**_summary(opened, tally), "error": told}, interrupted=True)
             raise
     finished = open_run(folder)
@@ -234,15 +233,15 @@ def write(
     return finished
 
 
-def draw(finished: Run) -> None:
-    """scene.png and tracks.png in the folder of a run, with the truth where its recording holds some."""
+def draw(finished: Run, truth: Iterable[Pose] | None = None) -> None:
+    """scene.png and tracks.png in the folder of a run, with true poses: those given, else of its recording."""
     from outrider import plots
     from outrider.evaluate import evaluate
 
-    truth = None
+    bodies = None
     with suppress(InputError):
-        truth = evaluate(finished).truth
-    plots.save(finished, finished.folder, truth)
+        bodies = evaluate(finished, truth).truth
+    plots.save(finished, finished.folder, bodies)
 
 
 def _about(opened: Opened) -> dict[str, Any]:
@@ -264,23 +263,3 @@ def _summary(opened: Opened, tally: Tally) -> dict[str, Any]:
         "repairs": opened.stream.report.as_dict(),
         "timing": None if estimate is None else {"confident": estimate.confident, "words": estimate.words},
     }
-
-
-@contextmanager
-def _whole() -> Iterator[None]:
-    """Ctrl-C inside the block is raised at its end, so that no row is written in half; main thread only."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    asked: list[int] = []
-
-    def later(number: int, frame: FrameType | None) -> None:
-        asked.append(number)
-
-    before = signal.signal(signal.SIGINT, later)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before if before is not None else signal.default_int_handler)
-    if asked:
-        raise KeyboardInterrupt

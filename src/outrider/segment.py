@@ -7,12 +7,16 @@ for the breakpoint distance; the limits on angular gap and on the distance itsel
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
-from outrider.kernel import compiled
+from outrider.geometry import wrap
 from outrider.records import Array, Ints, Scan
 from outrider.settings import Detect
+
+
+T = TypeVar("T", Array, Ints)
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,33 +28,30 @@ class Segments:
     stop: Ints  # (n,) one past its last row
 
 
-@compiled
-def _breaks(W_p: Array, W_o: Array, angle: Array, beam_t: Array, beams: Ints, limits: Array) -> Array:
+def _breaks(scan: Scan, beams: Ints, settings: Detect) -> Array:
     """Distance [m] to the return before where a segment starts at row i of `beams`, else 0; row 0 follows the last.
 
     Where the turn of the lidar begins and ends, two neighbours are a whole turn apart in time: always a break.
     """
-    noise, lam, max_gap, max_break, increment = limits
-    m = beams.shape[0]
-    out = np.zeros(m)
-    turn_s = abs(beam_t[-1] - beam_t[0])
-    for i in range(m):
-        a, b = beams[i - 1], beams[i]
-        turn = abs((angle[b] - angle[a] + np.pi) % (2.0 * np.pi) - np.pi)
-        ra = np.hypot(W_p[a, 0] - W_o[a, 0], W_p[a, 1] - W_o[a, 1])
-        rb = np.hypot(W_p[b, 0] - W_o[b, 0], W_p[b, 1] - W_o[b, 1])
-        gap = np.hypot(W_p[b, 0] - W_p[a, 0], W_p[b, 1] - W_p[a, 1]) + 1e-9
-        if (
-            abs(beam_t[b] - beam_t[a]) > 0.5 * turn_s > 0.0
-            or turn > (max_gap + 1.5) * increment
-            or turn > 0.9 * lam
-        ):
-            out[i] = gap
-            continue
-        reach = min(ra, rb) * np.sin(turn) / np.sin(lam - turn) + 3.0 * noise
-        if gap > min(reach, max_break):
-            out[i] = gap
-    return out
+    increment = abs(float(scan.angle[-1] - scan.angle[0])) / max(len(scan.angle) - 1, 1)
+    lam = settings.breakpoint_angle_rad
+    before = _turned(beams, -1)
+    turn = np.abs(wrap(scan.angle[beams] - scan.angle[before]))
+    r = scan.range[beams]
+    nearer = np.minimum(r, _turned(r, -1))
+    gap = np.hypot(*(scan.W_p[beams] - scan.W_p[before]).T) + 1e-9
+    noise = np.hypot(settings.range_noise_m, settings.shape_noise_m)
+    steep = np.minimum(turn, 0.9 * lam)
+    reach = np.minimum(nearer * np.sin(steep) / np.sin(lam - steep) + 3.0 * noise, settings.max_break_m)
+    apart = np.abs(scan.beam_t[beams] - scan.beam_t[before]) > 0.5 * abs(scan.beam_t[-1] - scan.beam_t[0])
+    simultaneous = scan.beam_t[-1] == scan.beam_t[0]
+    wide = (turn > (settings.max_gap_beams + 1.5) * increment) | (turn > 0.9 * lam)
+    return np.where((gap > reach) | wide | (apart & ~simultaneous), gap, 0.0)
+
+
+def _turned(a: T, first: int) -> T:
+    """The ring a (n,) cut so that it begins at index `first` (quicker than `np.roll`)."""
+    return np.concatenate((a[first:], a[:first]))
 
 
 def segment(scan: Scan, settings: Detect) -> Segments:
@@ -59,20 +60,10 @@ def segment(scan: Scan, settings: Detect) -> Segments:
     if len(beams) < 2:
         ends = np.arange(len(beams), dtype=np.int64)
         return Segments(beams, ends, ends + 1)
-    increment = abs(float(scan.angle[-1] - scan.angle[0])) / max(len(scan.angle) - 1, 1)
-    limits = np.array(
-        [
-            np.hypot(settings.range_noise_m, settings.shape_noise_m),
-            settings.breakpoint_angle_rad,
-            settings.max_gap_beams,
-            settings.max_break_m,
-            increment,
-        ]
-    )
-    gaps = _breaks(scan.W_p, scan.W_sensor, scan.angle, scan.beam_t, beams, limits)
+    gaps = _breaks(scan, beams, settings)
     first = int(gaps.argmax())  # the widest gap is where the row of beams is cut
-    gaps = np.roll(gaps, -first)
+    gaps = _turned(gaps, first)
     gaps[0] = 1.0
-    beams = np.roll(beams, -first)
+    beams = _turned(beams, first)
     start = np.flatnonzero(gaps)
     return Segments(beams, start, np.append(start[1:], len(beams)))

@@ -91,10 +91,10 @@ def _associate(
         settings.track.yaw_acceleration_noise,
     )
     rows = np.column_stack([segments.start[j], segments.stop[j]])
-    size = book.size[i, :2]
+    size = np.ascontiguousarray(book.size[i, :2])
     table = (segments.beams, segments.start, segments.stop)
     large = detections.kind == Kind.LARGE
-    pose, W_v = x[:, [0, 1, 4]], x[:, 2:4]
+    pose, W_v = np.ascontiguousarray(x[:, [0, 1, 4]]), np.ascontiguousarray(x[:, 2:4])
     associate.widen(scan.W_p, scan.beam_t, table, large, j, rows, t, pose, W_v, size, 0.5)
     turning = book.state[i] != TrackState.STATIC
     fits = associate.fit(scan, segments, pairs, rows, t, x, P, size, turning, settings)
@@ -140,7 +140,7 @@ def _correct(book: Book, rows: Ints, fits: associate.Fits, chosen: Ints, setting
     """Predictor, last measurement and sightings; `rows` are the tracks seen."""
     x, P = fits.x[chosen], fits.P[chosen]
     _reconsider(x, P, fits.pose, chosen)
-    predictor.correct(
+    x, P = predictor.correct(
         x,
         P,
         fits.pose[chosen],
@@ -196,15 +196,7 @@ def _learn(
     noise = float(np.hypot(d.range_noise_m, d.shape_noise_m))
     beam_rows = np.column_stack([fits.start[chosen], fits.stop[chosen]])
     increment = abs(float(scan.angle[-1] - scan.angle[0])) / max(len(scan.angle) - 1, 1)
-    free, gap = body.free_ends(
-        scan.W_p,
-        scan.W_sensor,
-        scan.angle,
-        segments.beams,
-        beam_rows,
-        (d.max_gap_beams + 1.5) * increment,
-        0.5,
-    )
+    free, gap = body.free_ends(scan, segments.beams, beam_rows, (d.max_gap_beams + 1.5) * increment, 0.5)
     pose = fits.pose[chosen]
     old = book.size[rows]
     seen, sigma = body.measure(

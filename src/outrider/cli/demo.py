@@ -39,6 +39,7 @@ def demo(
     """
     from outrider import io, offline, simulate
     from outrider.errors import OutputError
+    from outrider.records import Pose
 
     world = simulate.load("demo")
     try:
@@ -48,9 +49,12 @@ def demo(
             f"{output}: cannot be made ({error.strerror}); name another folder with -o"
         ) from error
     recording = output / "recording.mcap"
-    io.write_recording(recording, simulate.record(world), force)
+    messages = list(simulate.record(world))
+    io.write_recording(recording, messages, force)
     teller = None if json else Teller(world.title, simulate.EPOCH_NS * 1e-9)
-    run = offline.run(recording, output / "run", force=force, pictures=pictures, watch=teller)
+    run = offline.run(recording, output / "run", force=force, pictures=False, watch=teller)
+    if pictures:
+        offline.draw(run, [m for m in messages if isinstance(m, Pose) and m.topic.startswith("/truth/")])
     courses, harmless = warned(run, world)
     if json:
         show.json({**run.summary, "collision_courses": courses, "harmless_dangers": harmless})

@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,15 +25,14 @@ def json(value: Any) -> None:
     print(msgspec.json.format(text).decode())
 
 
-def table(rows: Iterable[Iterable[object]], head: Iterable[str] = (), title: str = "") -> None:
+def table(rows: Sequence[Sequence[object]], head: Sequence[str] = (), title: str = "") -> None:
     """Rows in columns; None is shown as a dash."""
     from rich.console import Console
     from rich.table import Table
 
-    head = list(head)
-    grid = Table(
-        *head, title=title or None, title_justify="left", box=None, show_header=bool(head), pad_edge=False
-    )
+    grid = Table(title=title or None, title_justify="left", box=None, show_header=bool(head), pad_edge=False)
+    for name in head or [""] * max(map(len, rows), default=0):
+        grid.add_column(name, overflow="fold")
     for row in rows:
         grid.add_row(*("-" if cell is None else str(cell) for cell in row))
     wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else WIDE
