@@ -17,7 +17,7 @@ LEVELS = [
     {"timing", "associate", "moving", "contact", "metrics", "lidar_model"},
     {"repair", "births"},
     {"scan", "detect", "tracker", "threat", "alert", "simulate"},
-    {"pipeline"},
+    {"pipeline", "warm"},
     {"io", "plots", "tally"},
     {"datasets"},
     {"evaluate"},

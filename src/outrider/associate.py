@@ -13,7 +13,7 @@ import numpy as np
 
 from outrider import predictor
 from outrider.geometry import rotate
-from outrider.kernel import compiled
+from outrider.kernel import compiled, kernel
 from outrider.records import Array, Bools, Detections, Ints, Kind, Scan
 from outrider.rectangle import MOST_HITS, copy, fit_sized, solve3
 from outrider.segment import Segments
@@ -38,7 +38,7 @@ FORBIDDEN = 1e6
 MOST_STRANGE = 3  # segments of something else between two of the same body
 
 
-@compiled
+@kernel
 def _gather(
     W_p: Array,
     W_o: Array,
@@ -162,7 +162,7 @@ def fit_pairs(
     return pose, cov, cost, sides, hits
 
 
-@compiled
+@kernel
 def _covariance(N: Array, prior: Array, out: Array) -> None:
     """Inverse of the information in N less nine tenths of the prior's, so that an unseen direction stays open."""
     N[0, 0] -= 0.9 / prior[3] ** 2

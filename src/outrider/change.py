@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from outrider.kernel import compiled
+from outrider.kernel import compiled, kernel
 from outrider.records import Array, Bools, Scan
 
 SAME, FARTHER, NEARER, NOTHING = 0, 1, 2, 3
 
 
-@compiled
+@kernel
 def _look(
     px: float, py: float, r: Array, valid: Bools, W_o: Array, angle0: float, step: float, margin: Array
 ) -> int:
@@ -43,7 +43,7 @@ def _look(
     return SAME if d <= hi + least else NEARER
 
 
-@compiled
+@kernel
 def _outside(px: float, py: float, box: Array, margin: float) -> bool:
     c, s = np.cos(box[2]), np.sin(box[2])
     u, v = c * (px - box[0]) + s * (py - box[1]), c * (py - box[1]) - s * (px - box[0])
@@ -51,7 +51,7 @@ def _outside(px: float, py: float, box: Array, margin: float) -> bool:
 
 
 @compiled
-def _ask(
+def ask(
     p: Array,
     r: Array,
     valid: Bools,
@@ -83,9 +83,11 @@ def votes(scan: Scan, box: Array, earlier: Scan, earlier_box: Array, margin: Arr
     out = np.zeros(4)
     for here, there, mine, other in ((scan, earlier, box, earlier_box), (earlier, scan, earlier_box, box)):
         n = len(there.angle)
+        if n < 2:
+            continue
         step = float(there.angle[-1] - there.angle[0]) / max(n - 1, 1)
         if step != 0.0:
-            _ask(
+            ask(
                 here.W_p,
                 there.range,
                 there.valid,

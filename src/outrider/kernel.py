@@ -222,3 +222,8 @@ def batch(start: Any, step: Any, State: Any, Measurement: Any) -> Any:
                     started = True
 
     return run
+
+
+def cold() -> bool:
+    """Whether nothing has been compiled yet for this version of the package on this machine."""
+    return next(Path(numba.config.CACHE_DIR).rglob("*.nbi"), None) is None

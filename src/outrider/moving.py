@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from outrider import change
+from outrider import body, change
 from outrider.book import Book
-from outrider.geometry import wrap
+from outrider.geometry import wrap, wrap_axis
 from outrider.records import Ints, Scan, TrackState
 from outrider.settings import Settings
 
@@ -16,6 +16,8 @@ SLOW_S = 2.0  # a body slower than half the moving speed for longer is static
 HISTORY_S = 3.0  # how far back earlier scans are kept
 HISTORY_STEP_S = 0.2
 LOOK_AGAIN_S = 0.4  # what moves is asked again whether it really does, this often
+ACROSS = np.pi / 3.0  # angle between length and course that no slip explains [rad]
+RUNNING = 2.5  # slower, what moves across its length may be people side by side [m/s]
 
 
 def direct(book: Book, rows: Ints, scan: Scan, settings: Settings) -> None:
@@ -30,6 +32,36 @@ def direct(book: Book, rows: Ints, scan: Scan, settings: Settings) -> None:
     flip = free[(np.abs(turn) > 0.5 * np.pi)]
     book.x[flip, 4] = wrap(book.x[flip, 4] + np.pi)
     book.z[flip, 5] = wrap(book.z[flip, 5] + np.pi)
+
+
+def straighten(book: Book, rows: Ints, scan: Scan, settings: Settings) -> None:
+    """What moves across its length shows its width: the length is that of the template it fits, and unseen.
+
+    So it is with a car that comes straight on: its front alone was taken for the side of a two-wheeler. The
+    face that is seen stays, the body grows away from it, and the observer starts anew.
+    """
+    d = settings.detect
+    if d.body_length_m is not None and d.body_width_m is not None:
+        return
+    v = book.x[rows, 2:4]
+    speed, course = np.hypot(v[:, 0], v[:, 1]), np.arctan2(v[:, 1], v[:, 0])
+    sure = speed > np.maximum(RUNNING, SIGNIFICANT * np.sqrt(book.P[rows, 2, 2] + book.P[rows, 3, 3]))
+    across = np.abs(wrap_axis(course - book.x[rows, 4])) > ACROSS
+    wrong = sure & across & (book.state[rows] == CONFIRMED) & (book.size[rows, 0] < d.max_width_m)
+    i, course = rows[wrong], course[wrong]
+    old, n = book.size[i], len(i)
+    template = body.TEMPLATES[np.abs(old[:, :1] - body.TEMPLATES[:, 1]).argmin(axis=1)]
+    new = np.column_stack([np.maximum(old[:, 1], template[:, 0]), old[:, 0], template[:, 2], old[:, 2]])
+    ahead = np.column_stack([np.cos(course), np.sin(course)])
+    eye = np.sum((scan.W_sensor[-1:, :2] - book.x[i, :2]) * ahead, axis=1) if n else np.zeros(0)
+    seen = np.abs(eye) > 0.5 * old[:, 1]
+    book.x[i, :2] -= np.where(seen, 0.5 * np.sign(eye) * (new[:, 0] - old[:, 1]), 0.0)[:, None] * ahead
+    book.x[i, 4], book.x[i, 5] = course, 0.0
+    book.P[i, 0, 0] += (0.5 * new[:, 2]) ** 2
+    book.P[i, 1, 1] += (0.5 * new[:, 2]) ** 2
+    book.size[i] = new
+    book.z[i, :2], book.z[i, 5], book.z[i, 7:9] = book.x[i, :2], course, new[:, :2]
+    book.observed[i] = False
 
 
 def judge(book: Book, rows: Ints, scan: Scan, earlier: tuple[Scan, ...], settings: Settings) -> None:
@@ -89,6 +121,8 @@ def _shifted(
 
 
 def remember(earlier: tuple[Scan, ...], scan: Scan) -> tuple[Scan, ...]:
-    """Earlier scans with this one, thinned to one every HISTORY_STEP_S and none older than HISTORY_S."""
+    """Earlier scans with this one, thinned to one every HISTORY_STEP_S and none older than HISTORY_S or blind."""
     kept = tuple(s for s in earlier if scan.t - s.t <= HISTORY_S)
+    if not scan.valid.any():
+        return kept
     return kept if kept and scan.t - kept[-1].t < HISTORY_STEP_S else (*kept, scan)

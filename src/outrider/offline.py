@@ -234,7 +234,7 @@ def write(
 
 
 def draw(finished: Run, truth: Iterable[Pose] | None = None) -> None:
-    """scene.png and tracks.png in the folder of a run, with true poses: those given, else of its recording."""
+    """scene.png and tracks.png in the folder of a run, with the true poses given, else its recording's."""
     from outrider import plots
     from outrider.evaluate import evaluate
 

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from outrider.kernel import compiled
+from outrider.kernel import kernel
 from outrider.records import Array
 
 ANGLES = 45  # headings tried over a quarter turn before the best is refined
 MOST_HITS = 48  # returns of one object used in a fit; evenly thinned beyond
 
 
-@compiled
+@kernel
 def _closeness(p: Array, c: float, s: float, floor: float) -> float:
     """Sum over the returns of 1 / distance to the nearer of the two nearest sides, for the axis (c, s)."""
     n = p.shape[0]
@@ -39,7 +39,7 @@ def _closeness(p: Array, c: float, s: float, floor: float) -> float:
     return score
 
 
-@compiled
+@kernel
 def fit_closeness(p: Array, floor: float) -> tuple[float, float, float, float, float]:
     """x, y, heading, length, width of the rectangle around returns p (n, 2); length is the longer side.
 
@@ -70,7 +70,7 @@ def fit_closeness(p: Array, floor: float) -> tuple[float, float, float, float, f
     return c * mu - s * mv, s * mu + c * mv, a, length, width
 
 
-@compiled
+@kernel
 def _outline(u: float, v: float, su: float, sv: float, a: float, b: float) -> tuple[float, float, int]:
     """Nearest point (u, v) of the sides seen from (su, sv), body frame, half sizes a, b; and which side."""
     best, qu, qv, which = 1e300, u, v, 0
@@ -87,7 +87,7 @@ def _outline(u: float, v: float, su: float, sv: float, a: float, b: float) -> tu
     return qu, qv, which
 
 
-@compiled
+@kernel
 def _add(N: Array, j0: float, j1: float, j2: float, r: float, w: float) -> None:
     """Add one weighted residual r with the row (j0, j1, j2) of the Jacobian to the normal equations."""
     for k, jk in enumerate((j0, j1, j2)):
@@ -97,7 +97,7 @@ def _add(N: Array, j0: float, j1: float, j2: float, r: float, w: float) -> None:
         N[k, 3] += w * jk * r
 
 
-@compiled
+@kernel
 def _normal_equations(
     pose: Array,
     p: Array,
@@ -166,7 +166,7 @@ def _normal_equations(
     return cost, (1 if hit1 >= few else 0) + (2 if hit2 >= few else 0)
 
 
-@compiled
+@kernel
 def solve3(N: Array, damping: float) -> tuple[float, float, float]:
     """Solution z of A z = g by Cholesky; N (3, 4) holds the symmetric positive definite A, then g.
 
@@ -186,7 +186,7 @@ def solve3(N: Array, damping: float) -> tuple[float, float, float]:
     return (y0 - l10 * z1 - l20 * z2) / l00, z1, z2
 
 
-@compiled
+@kernel
 def copy(source: Array, target: Array) -> None:
     """Fill one array with the first elements of another (quicker to compile than a slice)."""
     a, b = source.ravel(), target.ravel()  # views: both lie in one piece
@@ -194,7 +194,7 @@ def copy(source: Array, target: Array) -> None:
         b[i] = a[i]
 
 
-@compiled
+@kernel
 def fit_sized(
     start: Array,
     p: Array,

@@ -56,12 +56,13 @@ def update(
     _learn(book, rows, fits, chosen, scan, segments, settings)
     moving.direct(book, rows, scan, settings)
     moving.judge(book, rows, scan, memory.earlier, settings)
+    moving.straighten(book, rows, scan, settings)
     _observe(book, rows, previous, eng)
     book = book.keep(births.alive(book, scan.t, settings))
     born = births.births(scan, segments, detections, owner, book, settings, eng.n_states)
     born.id[:] = memory.next_id + np.arange(len(born))
     detections = _report(detections, fits, chosen, memory.book, owner)
-    tracks = _tracks(book, scan.t, settings, eng)
+    tracks = estimate(book, scan.t, settings, eng)
     after = TrackMemory(book.append(born), memory.next_id + len(born), moving.remember(memory.earlier, scan))
     return after, detections, tracks
 
@@ -191,7 +192,7 @@ def _learn(
 ) -> None:
     """Sizes, unless they are given; a body that grows does so away from the side that is seen."""
     d = settings.detect
-    if d.body_length_m is not None and d.body_width_m is not None:
+    if not len(rows) or (d.body_length_m is not None and d.body_width_m is not None):
         return
     noise = float(np.hypot(d.range_noise_m, d.shape_noise_m))
     beam_rows = np.column_stack([fits.start[chosen], fits.stop[chosen]])
@@ -231,7 +232,7 @@ def _observe(book: Book, rows: Ints, previous: tuple[Array, Array], eng: Engine)
         book.observed[fresh] = True
 
 
-def _tracks(book: Book, t: float, settings: Settings, eng: Engine) -> Tracks:
+def estimate(book: Book, t: float, settings: Settings, eng: Engine) -> Tracks:
     """All tracks at time t: the observer's motion where one runs, else the predictor's place at rest."""
     n = len(book)
     motion = np.zeros((n, 8))

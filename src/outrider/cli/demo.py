@@ -38,6 +38,7 @@ def demo(
         Draw scene.png and tracks.png.
     """
     from outrider import io, offline, simulate
+    from outrider.cli.warm import compiling_beside
     from outrider.errors import OutputError
     from outrider.records import Pose
 
@@ -49,10 +50,11 @@ def demo(
             f"{output}: cannot be made ({error.strerror}); name another folder with -o"
         ) from error
     recording = output / "recording.mcap"
-    messages = list(simulate.record(world))
-    io.write_recording(recording, messages, force)
-    teller = None if json else Teller(world.title, simulate.EPOCH_NS * 1e-9)
-    run = offline.run(recording, output / "run", force=force, pictures=False, watch=teller)
+    with compiling_beside("multi_stage"):
+        messages = list(simulate.record(world))
+        io.write_recording(recording, messages, force)
+        teller = None if json else Teller(world.title, simulate.EPOCH_NS * 1e-9)
+        run = offline.run(recording, output / "run", force=force, pictures=False, watch=teller)
     if pictures:
         offline.draw(run, [m for m in messages if isinstance(m, Pose) and m.topic.startswith("/truth/")])
     courses, harmless = warned(run, world)
@@ -143,7 +145,7 @@ def collision_courses(world: "Scenario") -> dict[str, tuple[float, bool]]:
     found = {name: (t, True) for name, t in simulate.contact_times(world).items() if t is not None}
     bound = [v.name for v in world.vehicles if v.collision_course and v.name not in found]
     due = dict.fromkeys(bound, np.inf)
-    for t in np.arange(0.0, world.duration_s, 0.25) if bound else ():
+    for t in np.arange(0.0, world.duration_s, 0.5) if bound else ():
         left = simulate.time_to_contact(world, float(t))
         due = {name: min(at, float(t) + left[name]) for name, at in due.items()}
     return found | {name: (at, False) for name, at in due.items() if np.isfinite(at)}

@@ -53,6 +53,7 @@ def track(
         Draw scene.png and tracks.png.
     """
     from outrider import offline
+    from outrider.cli.warm import compiling_beside
 
     named = {
         "recording.scale": scale,
@@ -63,7 +64,10 @@ def track(
     }
     opened = offline.open_source(recording, settings, [*(set_ or []), *_assignments(named)])
     counts = {topic.name: topic.count for topic in opened.recording.topics}
-    with show.progress(counts.get(opened.chosen.scan), "tracking") as watch:
+    with (
+        compiling_beside(opened.settings.observer.name),
+        show.progress(counts.get(opened.chosen.scan), "tracking") as watch,
+    ):
         run = offline.write(opened, output, force=force, pictures=pictures, watch=watch)
     if json:
         show.json({**run.summary, "folder": run.folder})
