@@ -32,6 +32,7 @@ HEADING_PRIOR = (
 )  # least and largest standard deviation of the prediction's pull on the heading [rad]
 TURNS = (0.0, 0.35, -0.35, 0.5 * np.pi)  # headings a fit starts from, relative to the prediction [rad]
 STILL = (0.0, 0.0, 0.0, 0.5 * np.pi)  # the same for a body that stands: 0 is tried once
+GOOD_FIT = 0.3  # mean cost a return below which the first start is enough
 DOUBTFUL_FIT = 0.5  # mean cost a return above which the last of them is tried
 WORST_FIT = 4.0  # mean cost a return above which a segment does not look like the track's body
 FORBIDDEN = 1e6
@@ -147,9 +148,8 @@ def fit_pairs(
             continue
         best = 1e300
         for m in range(turns.shape[1]):
-            if m > 0 and (
-                turns[i, m] == 0.0 or (abs(turns[i, m]) > 1.0 and best < DOUBTFUL_FIT * p.shape[0])
-            ):
+            enough = DOUBTFUL_FIT if abs(turns[i, m]) > 1.0 else GOOD_FIT
+            if m > 0 and (turns[i, m] == 0.0 or best < enough * p.shape[0]):
                 continue
             begin[0], begin[1], begin[2] = prior[i, 0], prior[i, 1], prior[i, 2] + turns[i, m]
             c, seen = fit_sized(begin, p, o, far, far_o, weight, prior[i], size[i], scale, z, N)

@@ -72,7 +72,7 @@ def births(
     born.born[:] = scan.t
     born.seen[:] = detections.hit_t[new]
     born.hits[:] = detections.hits[new]
-    born.z[:, :2] = born.x[:, :2]
+    born.z[:, :2] = born.home[:] = born.x[:, :2]
     return born.keep(good)
 
 

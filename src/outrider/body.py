@@ -15,6 +15,7 @@ from outrider.records import Array, Bools, Ints, Scan
 # length, width, and how sure [m]: car, two-wheeler, pedestrian or part of something
 TEMPLATES = np.array([[4.3, 1.8, 0.5, 0.15], [1.8, 0.65, 0.3, 0.15], [0.7, 0.7, 0.5, 0.4]])
 
+GRAZING = 0.2  # sine of the angle between beam and side below which the gap is not drawn out further
 GROWTH = 0.8  # how far beyond its believed outline a body may show itself in one scan [m]
 
 
@@ -89,7 +90,9 @@ def measure(
                     continue
                 e = 0 if abs(end[0, a] - limit) < abs(end[1, a] - limit) else 1
                 bounded = bounded and free[i, e] and abs(end[e, a] - limit) < 3.0 * noise
-                slack += gap[i, e]
+                ru, rv = end[e, 0] - eye[0], end[e, 1] - eye[1]
+                steep = abs(rv if b == 1 else ru) / np.hypot(ru, rv)  # aslant a beam skips more of the side
+                slack += gap[i, e] / max(steep, GRAZING)
             seen[i, a] = hi[a] - lo[a] + (0.5 * slack if bounded else 0.0)
             spread = np.hypot(noise, 0.3 * slack) if bounded else noise
             sigma[i, a] = spread if bounded else -spread

@@ -24,6 +24,7 @@ class Book:
     size: Array  # (n, 4) length, width, their standard deviations [m]
     sightings: Ints  # (n,) bit k: seen k scans ago
     shifts: Ints  # (n,) bit k: the k-th last look at an earlier scan says the body has moved
+    home: Array  # (n, 2) where it was born, drawn slowly to where it stands [m]
     looked: Array  # (n,) time of that last look [s]
     slow_since: Array  # (n,) [s] inf while it moves
     directed: Bools  # (n,) which end is the front is known
@@ -60,6 +61,7 @@ def empty(n: int, n_states: int) -> Book:
         size=np.zeros((n, 4)),
         sightings=np.ones(n, np.int64),
         shifts=np.zeros(n, np.int64),
+        home=np.zeros((n, 2)),
         looked=np.full(n, -np.inf),
         slow_since=np.full(n, np.inf),
         directed=np.zeros(n, np.bool_),

@@ -96,7 +96,12 @@ _DATMO_SETTINGS: Mapping[str, Mapping[str, Any]] = {
         "body_length_m": 4.2,
         "body_width_m": 2.0,
     },
-    "track": {"acceleration_noise": 15.0, "yaw_acceleration_noise": 6.0, "moving_speed_mps": 1.0},
+    "track": {
+        "acceleration_noise": 15.0,
+        "yaw_acceleration_noise": 6.0,
+        "moving_speed_mps": 1.0,
+        "drift_per_range": 0.05,  # the walls wander by 0.2 m at 5 m
+    },
     "observer": {"gains": {"speed": 3.0, "orientation": 1.43, "heading": 30.0}},
 }
 

@@ -7,7 +7,7 @@ import numpy as np
 from outrider import body, change
 from outrider.book import Book
 from outrider.geometry import wrap, wrap_axis
-from outrider.records import Ints, Scan, TrackState
+from outrider.records import Array, Ints, Scan, TrackState
 from outrider.settings import Settings
 
 TENTATIVE, CONFIRMED, COASTING, STATIC = (int(state) for state in TrackState)
@@ -15,6 +15,8 @@ SIGNIFICANT = 3.0  # speed over its standard deviation, to be called moving
 SLOW_S = 2.0  # a body slower than half the moving speed for longer is static
 HISTORY_S = 3.0  # how far back earlier scans are kept
 HISTORY_STEP_S = 0.2
+HOME_GAIN = 0.02  # of a standing body's home towards where it is now, a scan: forgets in some seconds
+LOOK_AGAIN_SURE_S = 1.5  # the same where eight looks in a row agreed
 LOOK_AGAIN_S = 0.4  # what moves is asked again whether it really does, this often
 ACROSS = np.pi / 3.0  # angle between length and course that no slip explains [rad]
 RUNNING = 2.5  # slower, what moves across its length may be people side by side [m/s]
@@ -73,7 +75,8 @@ def judge(book: Book, rows: Ints, scan: Scan, earlier: tuple[Scan, ...], setting
     sure = speed > SIGNIFICANT * np.sqrt(book.P[rows, 2, 2] + book.P[rows, 3, 3])
     slow = speed < 0.5 * t.moving_speed_mps
     moving = (book.state[rows] == CONFIRMED) | (book.state[rows] == COASTING)
-    due = ~slow & (~moving | (scan.t - book.looked[rows] > LOOK_AGAIN_S))
+    again = np.where(book.shifts[rows] == 0xFF, LOOK_AGAIN_SURE_S, LOOK_AGAIN_S)
+    due = ~slow & (~moving | (scan.t - book.looked[rows] > again))
     for i, v in zip(rows[due], speed[due], strict=True):
         shifted = _shifted(book, i, float(v), scan, earlier, settings)
         if shifted is not None:
@@ -81,12 +84,16 @@ def judge(book: Book, rows: Ints, scan: Scan, earlier: tuple[Scan, ...], setting
             book.shifts[i] = ((book.shifts[i] << 1) | shifted) & 0xFF
     book.shifts[rows[slow & ~moving]] = 0
     agreed = np.bitwise_count(book.shifts[rows] & 0b111) >= 2
-    begins = ~moving & sure & (speed > t.moving_speed_mps) & agreed
+    strayed = np.hypot(*(book.x[rows, :2] - book.home[rows]).T) > _way(book, rows, scan, settings)
+    begins = ~moving & sure & (speed > t.moving_speed_mps) & agreed & strayed
+    stays = rows[~moving & ~begins]
+    book.home[stays] += HOME_GAIN * (book.x[stays, :2] - book.home[stays])
     book.slow_since[rows] = np.where(slow & ~begins, np.minimum(book.slow_since[rows], scan.t), np.inf)
     ends = moving & ((scan.t - book.slow_since[rows] > SLOW_S) | (book.shifts[rows] & 0b111 == 0))
     book.directed[rows[begins]] = True
     book.state[rows[moving | begins]] = CONFIRMED
     book.state[rows[ends]] = STATIC
+    book.home[rows[ends]] = book.x[rows[ends], :2]
     book.state[(book.hits == 0) & (book.state == CONFIRMED)] = COASTING
     book.observed[book.state == STATIC] = False
 
@@ -98,15 +105,25 @@ def _confirm(book: Book, rows: Ints, settings: Settings) -> None:
     book.state[rows[often & (book.state[rows] == TENTATIVE)]] = STATIC
 
 
+def _margin(settings: Settings) -> tuple[float, float]:
+    """Distance below which two surfaces are taken for the same one, and what each metre of range adds [m, m/m]."""
+    noise = float(np.hypot(settings.detect.range_noise_m, settings.detect.shape_noise_m))
+    return 0.15 + 3.0 * noise, settings.track.drift_per_range
+
+
+def _way(book: Book, rows: Ints, scan: Scan, settings: Settings) -> Array:
+    """(k,) the least way [m] that tells moving from the wandering of what stands."""
+    least, drift = _margin(settings)
+    away = np.hypot(*(book.x[rows, :2] - scan.ego.W_pose[:2]).T)
+    return np.asarray(np.maximum(settings.track.moving_distance_m, 1.5 * (least + drift * away)))
+
+
 def _shifted(
     book: Book, i: int, speed: float, scan: Scan, earlier: tuple[Scan, ...], settings: Settings
 ) -> int | None:
     """1 where an earlier scan agrees that the body has moved, 0 where it does not, None where it cannot say."""
-    drift = settings.track.drift_per_range
-    away = float(np.hypot(*(book.x[i, :2] - scan.ego.W_pose[:2])))
-    noise = 3.0 * float(np.hypot(settings.detect.range_noise_m, settings.detect.shape_noise_m))
-    least = 0.15 + noise
-    way = max(settings.track.moving_distance_m, 1.5 * (least + drift * away))
+    least, drift = _margin(settings)
+    way = float(_way(book, np.array([i]), scan, settings)[0])
     old = next((s for s in reversed(earlier) if (scan.t - s.t) * speed > way and scan.t - s.t > 0.15), None)
     if old is None:
         return None if not earlier or (scan.t - earlier[0].t) < HISTORY_S - 2 * HISTORY_STEP_S else 0
