@@ -65,7 +65,15 @@ def one_look(pose, true, believed, eye, free, keep=slice(None), gap=0.0):
     W_o = np.tile([*eye, 0.0], (len(p), 1)).astype(float)
     rows = np.array([[0, len(p)]])
     seen, sigma = measure(
-        p, W_o, beams, rows, np.array([free]), np.full((1, 2), gap), np.array([pose]), np.array([believed]), NOISE
+        p,
+        W_o,
+        beams,
+        rows,
+        np.array([free]),
+        np.full((1, 2), gap),
+        np.array([pose]),
+        np.array([believed]),
+        NOISE,
     )
     return seen[0], sigma[0]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from outrider import io, simulate
+from outrider import datasets, io, offline, settings, simulate
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -55,3 +55,8 @@ def test_results_in_pandas(crossing):
     best = max((row.split() for row in rows[1:]), key=lambda row: float(row[1]))
     assert 6.0 < float(best[3]) < 12.0
     assert 3.5 < float(best[4]) < 5.5
+
+
+def test_the_settings_of_the_model_cars_are_those_of_the_data_set():
+    given = settings.load(EXAMPLES / "model_car.toml")
+    assert given == offline.settle(datasets.entry("datmo/overtakes").settings, None)

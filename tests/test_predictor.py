@@ -84,7 +84,9 @@ def test_the_covariance_stays_one(seed, course_sigma, course_speed):
         x, P = predict(x, P, rng.uniform(0.0, 0.5, 3), np.full(3, 6.0), 4.0)
         _, _, _, R, _ = drawn(int(rng.integers(1 << 30)), 3)
         before = P
-        x, P = correct(x, P, x[:, [0, 1, 4]] + 5.0 * rng.normal(size=(3, 3)), R, course_sigma, course_speed, 0.05)
+        x, P = correct(
+            x, P, x[:, [0, 1, 4]] + 5.0 * rng.normal(size=(3, 3)), R, course_sigma, course_speed, 0.05
+        )
         scale = np.trace(before, axis1=1, axis2=2)
         assert np.array_equal(P, P.transpose(0, 2, 1))
         assert (np.linalg.eigvalsh(P)[:, 0] > -1e-10 * scale).all()

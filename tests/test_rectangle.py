@@ -153,7 +153,10 @@ def test_the_gradient_is_that_of_the_cost(dx, dy, turn, seed):
     _, N = equations(pose, p, far, weight, prior)
     h = 1e-6
     slope = [
-        (equations(pose + h * e, p, far, weight, prior)[0] - equations(pose - h * e, p, far, weight, prior)[0])
+        (
+            equations(pose + h * e, p, far, weight, prior)[0]
+            - equations(pose - h * e, p, far, weight, prior)[0]
+        )
         / (2.0 * h)
         for e in np.eye(3)
     ]

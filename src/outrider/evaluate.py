@@ -67,7 +67,8 @@ class Evaluation:
             t.name: {**t.score.to_dict(), "contact_t": t.contact_t, "warning_lead_s": t.lead_s}
             for t in self.targets
         }
-        scene = {k: getattr(self.scene, k) for k in Scene.__slots__}
+        found = {k: getattr(self.scene, k) for k in Scene.__slots__}
+        scene = {k: v if np.isfinite(v) else None for k, v in found.items()}
         return {"targets": bodies, "scene": scene, "alerts": self.alerts}
 
     def table(self) -> str:
@@ -76,10 +77,11 @@ class Evaluation:
         for target in self.targets:
             lines += _block(target)
         s = self.scene
-        parts = f"located {s.localisation_m2:.3g}, missed {s.missed_m2:.3g}, false {s.false_m2:.3g} m2"
+        located, missed, false = _shown(s.localisation_m2), _shown(s.missed_m2), _shown(s.false_m2)
         lines += [
-            f"scene: {s.scans} scans, GOSPA {s.gospa_m:.3g} m, false tracks {s.false_tracks:.3g} a scan",
-            f"  parts of GOSPA ** 2: {parts}",
+            f"scene: {s.scans} scans with a moving body, GOSPA {_shown(s.gospa_m)} m, "
+            f"false tracks {_shown(s.false_tracks)} a scan",
+            f"  parts of GOSPA ** 2: located {located}, missed {missed}, false {false} m2",
             "alerts: " + ", ".join(f"{name} {n}" for name, n in self.alerts.items()),
         ]
         return "\n".join(lines)
@@ -233,6 +235,11 @@ def _alerts(run: Run) -> dict[str, int]:
     return counts
 
 
+def _shown(value: float) -> str:
+    """A number, or a dash where there was nothing to measure."""
+    return f"{value:.3g}" if np.isfinite(value) else "-"
+
+
 def _block(target: Target) -> list[str]:
     s = target.score
     counts = f"identities {s.identities}, switches {s.switches}, breaks {s.breaks}"
@@ -250,7 +257,7 @@ def _block(target: Target) -> list[str]:
     }
     for name, unit in names.items():
         label = f"{name.split('_')[0]} [{unit}]"
-        lines.append(f"  {label:<18}" + "".join(f"{value:9.3g}" for value in getattr(s, name)))
+        lines.append(f"  {label:<18}" + "".join(f"{_shown(value):>9}" for value in getattr(s, name)))
     if target.contact_t is not None:
         lead = "no warning" if target.lead_s is None else f"warned {target.lead_s:.2f} s before"
         lines.append(f"  contact at {target.contact_t:.2f} s: {lead}")

@@ -225,10 +225,12 @@ def _observe(book: Book, rows: Ints, previous: tuple[Array, Array], eng: Engine)
     dt = book.seen - seen_before
     if len(known):
         eng.loops.step_all(book.obs, z_before, book.z, dt, eng.gains, known, book.obs)
-    if len(fresh):  # the way of the last third of a second is less noisy than that of one scan
-        first, ago = book.z.copy(), np.full(len(book), 0.3)
+    if len(fresh):  # the way of the last third of a second by the predictor, which is sure that it moves
+        second, ago = book.z.copy(), np.full(len(book), 0.3)
+        second[fresh, 2:5] = 0.0
+        first = second.copy()
         first[fresh, :2] -= 0.3 * book.x[fresh, 2:4]
-        eng.loops.start_all(first, book.z, ago, eng.gains, fresh, book.obs)
+        eng.loops.start_all(first, second, ago, eng.gains, fresh, book.obs)
         book.observed[fresh] = True
 
 
