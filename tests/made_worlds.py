@@ -13,6 +13,7 @@ from outrider.geometry import TAU
 from outrider.records import Detections, Scan, Tracks
 from outrider.settings import Settings
 
+DEFAULT = Settings()
 BACKDROP = "[[walls]]\npoints_m = [[-60.0, 14.0], [60.0, 14.0]]\n"
 
 
@@ -30,7 +31,7 @@ def world(text, seconds=8.0):
     return scenario.parse(f'title = "test"\nduration_s = {seconds}\n{text}')
 
 
-def prepared(messages, settings=Settings(), ego="/ego_pose", topic="/scan"):
+def prepared(messages, settings=DEFAULT, ego="/ego_pose", topic="/scan"):
     return list(scans.prepare(messages, topic, ego, settings))
 
 
@@ -40,7 +41,7 @@ def single(ranges, sequential=True, **fields):
     return made if sequential else dataclasses.replace(made, beam_t=np.full(len(made.angle), made.t))
 
 
-def follow(scan_list, settings=Settings()):
+def follow(scan_list, settings=DEFAULT):
     """The tracker's steps over some scans."""
     engine, memory, steps = tracker.engine(settings), tracker.start(settings), []
     for scan in scan_list:
@@ -73,7 +74,7 @@ def returns_on(scan, truth, k, margin=0.15):
 
 
 def look(pose, size, eye, beams=480, reach=30.0):
-    """Exact returns p (n, 2) of one rectangle seen from eye (2,), and the ends far (m, 2) of beams past it."""
+    """Exact returns p (n, 2) of one rectangle seen from eye (2,), and the ends (m, 2) of beams past it."""
     heading = np.arange(beams) * (TAU / beams)
     origin = np.tile(np.asarray(eye, float), (beams, 1))
     shapes = lidar_model.Shapes(

@@ -102,11 +102,15 @@ def test_a_corner_bounds_a_side():
     assert seen == pytest.approx(TRUE, abs=0.25)
 
 
-def test_a_gap_beside_the_last_return_is_shared():
-    """Half of each gap is taken to be body, and the doubt grows with it."""
-    without, doubt = one_look(POSE, TRUE, (4.3, 1.8), np.zeros(2), (True, True))
-    wide, more = one_look(POSE, TRUE, (4.3, 1.8), np.zeros(2), (True, True), gap=0.1)
-    assert wide[0] - without[0] == pytest.approx(0.1)
+@pytest.mark.parametrize("x", [0.0, 2.0, 8.0])
+def test_a_gap_beside_the_last_return_is_shared(x):
+    """Half of what the next beam skipped is taken to be body: the more, the flatter it meets the side."""
+    eye = np.array([x, 0.0])
+    without, doubt = one_look(POSE, TRUE, (4.3, 1.8), eye, (True, True))
+    wide, more = one_look(POSE, TRUE, (4.3, 1.8), eye, (True, True), gap=0.05)
+    ends = np.array([-2.2, 2.2]) if x < 2.2 else np.array([-2.2])  # the nearer end is a corner that is seen
+    skipped = 0.05 * np.hypot(ends - x, 6.0 - 0.9) / (6.0 - 0.9)
+    assert wide[0] - without[0] == pytest.approx(0.5 * skipped.sum(), rel=0.05)
     assert more[0] > doubt[0]
 
 
@@ -170,7 +174,7 @@ def test_a_car_that_passes_is_learnt(length, width):
         length_m = {length}
         width_m = {width}
         """
-    assert learnt(passing + BACKDROP, 7.0) == pytest.approx([length, width], abs=0.15)
+    assert learnt(passing + BACKDROP, 7.0) == pytest.approx([length, width], abs=0.12)
 
 
 def test_a_two_wheeler_stays_small():

@@ -77,7 +77,7 @@ def test_a_row_does_not_hang_on_the_others():
 @given(SEEDS, st.floats(0.01, 2.0), st.floats(0.0, 20.0))
 @settings(max_examples=60)
 def test_the_covariance_stays_one(seed, course_sigma, course_speed):
-    """Symmetric and without negative eigenvalue over twenty scans of any innovations; never grown by a look."""
+    """Symmetric and without negative eigenvalue over twenty scans of any kind; never grown by a look."""
     x, P, _, _, _ = drawn(seed, 3)
     rng = np.random.default_rng(seed + 1)
     for _ in range(20):
@@ -99,7 +99,7 @@ def test_the_covariance_stays_one(seed, course_sigma, course_speed):
 @settings(max_examples=30)
 def test_whole_turns_of_the_measured_heading_change_nothing(seed, turns):
     x, P, z, R, _ = drawn(seed)
-    more = z + [0.0, 0.0, 2.0 * np.pi * turns]
+    more = z + np.array([0.0, 0.0, 2.0 * np.pi * turns])
     a, b = (correct(x, P, m, R, 0.5, FAR_OFF, 0.05)[0][0] for m in (z, more))
     assert a[:4] == pytest.approx(b[:4], abs=1e-9)
     assert wrap(a[4] - b[4]) == pytest.approx(0.0, abs=1e-9)
@@ -120,7 +120,7 @@ def test_the_course_draws_the_heading_and_never_turns_it_round(speed, course, of
     R = np.diag([1.0, 1.0, 0.05])[None]
     drawn_in = correct(x, P, x[:, [0, 1, 4]], R, 0.5, 1.4, 0.05)[0][0, 4]
     assert abs(wrap(drawn_in - course)) <= abs(off) + 1e-12
-    backward = x + [0.0, 0.0, 0.0, 0.0, np.pi, 0.0]  # a body that reverses
+    backward = x + np.array([0.0, 0.0, 0.0, 0.0, np.pi, 0.0])  # a body that reverses
     z = np.column_stack([backward[:, :2], wrap(backward[:, 4])])
     assert wrap(correct(backward, P, z, R, 0.5, 1.4, 0.05)[0][0, 4] - backward[0, 4]) == pytest.approx(0.0)
 

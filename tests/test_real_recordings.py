@@ -1,4 +1,4 @@
-"""Real scans in, figures against motion capture and labels out; the same settings for the three datmo runs."""
+"""Real scans in, figures against truth out; the same settings for the three datmo runs."""
 
 from functools import cache
 
@@ -142,7 +142,7 @@ def street():
 
 
 def followed(kind):
-    """Frames in which a labelled road user has four returns or more; identity and state of its track in each."""
+    """Frames in which a labelled body has four returns or more; identity and state of its track."""
     seen, held = 0, []
     for frame in street()[0]:
         for box in street()[1].get(round(frame.t * 1e9), ()):
@@ -181,7 +181,7 @@ def test_no_parked_car_is_called_moving_for_half_a_second():
 
 
 def test_a_second_sensor_layout_without_poses_runs_through():
-    """A room in which nearly everything stands: 726 beams over 255 deg, some returns below the least range."""
+    """A room where nearly all stands: 726 beams over 255 deg, some returns below the least range."""
     out = list(outrider.track("dataset:tysik"))
     assert len(out) == 331
     assert all(np.isfinite(f.tracks.W_p).all() and np.isfinite(f.tracks.speed).all() for f in out)

@@ -1,4 +1,4 @@
-"""Rectangles: exact where the returns are exact, turned where the world is turned, sure only of what was seen."""
+"""Rectangles: exact where the returns are, turned as the world is turned, sure only of what was seen."""
 
 import numpy as np
 import pytest
@@ -75,7 +75,7 @@ def test_exact_returns_give_the_exact_pose(yaw, away, bearing):
     u, v = transform(np.array([0.0, 0.0, -yaw]), eye - true[:2])
     if min(abs(u) - 0.5 * SIZE[0], abs(v) - 0.5 * SIZE[1]) < 1.0:  # one side alone, or nearly
         return
-    pose, _, _, sides = fitted(p, eye, true + [0.3, -0.2, 0.1], beside(far, eye, p))
+    pose, _, _, sides = fitted(p, eye, true + np.array([0.3, -0.2, 0.1]), beside(far, eye, p))
     assert np.hypot(*(pose - true)[:2]) < 2e-3
     assert abs(wrap(pose[2] - true[2])) < 2e-3
     on_end = np.abs(np.abs(transform(np.array([0.0, 0.0, -yaw]), p - true[:2])[:, 0]) - 0.5 * SIZE[0]) < 1e-6
@@ -91,7 +91,9 @@ def test_with_noise_the_errors_are_those_of_least_squares():
     ray = (p - eye) / np.linalg.norm(p - eye, axis=1, keepdims=True)
     errors, scaled = [], []
     for _ in range(60):
-        pose, N, _, _ = fitted(p + rng.normal(0.0, noise, (len(p), 1)) * ray, eye, true + [0.1, 0.1, 0.05])
+        pose, N, _, _ = fitted(
+            p + rng.normal(0.0, noise, (len(p), 1)) * ray, eye, true + np.array([0.1, 0.1, 0.05])
+        )
         cov = np.linalg.inv(N[:, :3]) * (noise / SIGMA) ** 2
         error = pose - true
         errors.append(error)
@@ -108,7 +110,7 @@ def test_turning_the_world_turns_the_answer(turn, x, y):
     true, eye = np.array([8.0, 3.0, 0.7]), np.zeros(2)
     p, far = look(true, SIZE, eye)
     far = beside(far, eye, p)
-    start = true + [0.2, 0.3, -0.1]
+    start = true + np.array([0.2, 0.3, -0.1])
     here = fitted(p, eye, start, far)[0]
     there = fitted(transform(move, p), transform(move, eye), compose(move, start), transform(move, far))[0]
     error = there - compose(move, here)
@@ -120,7 +122,7 @@ def test_the_mirror_image_has_the_mirrored_answer():
     true, eye = np.array([8.0, 3.0, 0.7]), np.zeros(2)
     p, far = look(true, SIZE, eye)
     far = beside(far, eye, p)
-    start = true + [0.2, 0.3, -0.1]
+    start = true + np.array([0.2, 0.3, -0.1])
     flip = np.array([1.0, -1.0])
     pose, N, cost, sides = fitted(p, eye, start, far)
     other, M, cost2, sides2 = fitted(p * flip, eye * flip, start * [1, -1, -1], far * flip)
@@ -149,7 +151,7 @@ def test_the_gradient_is_that_of_the_cost(dx, dy, turn, seed):
     aim = np.arctan2(true[1], true[0]) + np.array([-0.2, -0.1, 0.15, 0.25])
     far = 25.0 * np.column_stack([np.cos(aim), np.sin(aim)])
     prior, weight = np.array([6.8, 4.1, 0.35, 0.5, 0.2]), np.ones(4)
-    pose = true + [dx, dy, turn]
+    pose = true + np.array([dx, dy, turn])
     _, N = equations(pose, p, far, weight, prior)
     h = 1e-6
     slope = [
@@ -173,7 +175,7 @@ def depth(pose, size, eye, end):
 
 
 def test_a_beam_that_went_through_pushes_the_body_aside():
-    """Of the rear only the middle is seen, so the place across is open, until a beam goes past on the left."""
+    """Of the rear only the middle is seen, so across it is open, until a beam goes past on the left."""
     eye = np.zeros(2)
     y = np.linspace(-0.4, 0.4, 9)
     p = np.column_stack([np.full(9, 8.0), y])
@@ -223,7 +225,7 @@ def test_the_information_is_small_only_where_nothing_was_seen():
 def test_an_outlier_hardly_counts():
     true, eye = np.array([8.0, 4.0, 0.5]), np.zeros(2)
     p, _ = look(true, SIZE, eye)
-    stray = np.vstack([p, true[:2] + [-3.5, -2.0]])
+    stray = np.vstack([p, true[:2] - np.array([3.5, 2.0])])
     moved = fitted(stray, eye, true)[0] - fitted(p, eye, true)[0]
     assert np.hypot(*moved[:2]) < 0.01
 

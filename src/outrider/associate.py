@@ -1,4 +1,4 @@
-"""Which segment belongs to which track: fit each track's rectangle to each near segment, then assign globally.
+"""Which segment belongs to which track: fit the track's rectangle to each near one, then assign globally.
 
 The pose of the rectangle that fits best is the measurement, its distance to the prediction the price. So a
 neighbour's returns are dear even where they are near, and the point that is tracked does not hop when another
@@ -115,10 +115,10 @@ def fit_pairs(
 ) -> tuple[Array, Array, Array, Ints, Ints]:
     """The sized rectangle fitted for each row of prior to the beams rows[:, 0]..rows[:, 1] of `beams`.
 
-    prior (k, 5): x, y, heading, position sigma, heading sigma at the time of the segment's returns; W_v (k, 2);
-    size (k, 2); turns (k, m): headings to start from, relative to the prior's. Returns pose (k, 3), covariance
-    (k, 3, 3) of the data alone (the prior's information taken out), cost per return (k,), sides seen (k,) mask,
-    returns used (k,).
+    prior (k, 5): x, y, heading, position sigma, heading sigma at the time of the segment's returns; W_v (k,
+    2); size (k, 2); turns (k, m): headings to start from, relative to the prior's. Returns pose (k, 3),
+    covariance (k, 3, 3) of the data alone (the prior's information taken out), cost per return (k,), sides
+    seen (k,) mask, returns used (k,).
     """
     k = prior.shape[0]
     pose, cov, cost = np.empty((k, 3)), np.ones((k, 3, 3)), np.empty(k)
@@ -164,7 +164,7 @@ def fit_pairs(
 
 @kernel
 def _covariance(N: Array, prior: Array, out: Array) -> None:
-    """Inverse of the information in N less nine tenths of the prior's, so that an unseen direction stays open."""
+    """Inverse of the information in N less nine tenths of the prior's: an unseen direction stays open."""
     N[0, 0] -= 0.9 / prior[3] ** 2
     N[1, 1] -= 0.9 / prior[3] ** 2
     N[2, 2] -= 0.9 / prior[4] ** 2
@@ -203,7 +203,7 @@ def fit(
     turning: Bools,
     settings: Settings,
 ) -> Fits:
-    """The sized rectangle of each pair; x (k, 6), P (k, 6, 6) predictions at t (k,); rows (k, 2) beams from..to.
+    """The sized rectangle of each pair; x (k, 6), P (k, 6, 6) predicted at t (k,); rows (k, 2) of beams.
 
     turning (k,): the body may have turned, so that the fit starts from several headings.
     """
@@ -243,7 +243,7 @@ def near_pairs(x: Array, P: Array, size: Array, kt: Array, detections: Detection
 
 
 def assign(fits: Fits, n_tracks: int, n_segments: int, gate: float) -> Ints:
-    """Rows of `fits` chosen so that the sum of squared Mahalanobis distances is least; one segment a track."""
+    """Rows of `fits` with the least sum of squared Mahalanobis distances; one segment a track."""
     from scipy.optimize import linear_sum_assignment
 
     d2 = predictor.mahalanobis2(fits.x, fits.P, fits.pose, fits.cov)
@@ -279,11 +279,12 @@ def widen(
     size: Array,
     margin: float,
 ) -> None:
-    """Grow rows (k, 2) of beams over neighbouring segments that lie in the rectangle at pose (k, 3), size (k, 2).
+    """Grow rows (k, 2) of beams over neighbours that lie in the rectangle at pose (k, 3), size (k, 2).
 
-    Returns are moved to time t (k,) with W_v (k, 2): a body that straddles the beginning of a turn is seen twice.
-    Up to MOST_STRANGE segments in between may be of something else, seen through a window or past a mirror.
-    segments: beams, start, stop; taken (n,) marks those that may not be used; `segment` (k,) is where to begin.
+    Returns are moved to time t (k,) with W_v (k, 2): a body that straddles the beginning of a turn is seen
+    twice. Up to MOST_STRANGE segments in between may be of something else, seen through a window or past a
+    mirror. segments: beams, start, stop; taken (n,) marks those that may not be used; `segment` (k,) is
+    where to begin.
     """
     beams, start, stop = segments
     for k in range(rows.shape[0]):

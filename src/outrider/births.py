@@ -79,7 +79,7 @@ def births(
 def _first_fit(
     scan: Scan, segments: Segments, detections: Detections, new: Ints, settings: Settings
 ) -> tuple[Array, Array, Array, Bools]:
-    """The template and axis that fit each new segment best: pose (n, 3), covariance, size (n, 4), good enough."""
+    """Best template and axis for each new segment: pose (n, 3), covariance, size (n, 4), good enough."""
     d = settings.detect
     templates = body.TEMPLATES
     if d.body_length_m is not None and d.body_width_m is not None:

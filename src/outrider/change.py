@@ -1,8 +1,9 @@
-"""Has a body moved? Ask an earlier scan about the place it is in now, and this scan about the place it was in.
+"""Has a body moved? Ask an earlier scan about where it is now, and this scan about where it was.
 
-A wall seen through gaps looks like a body that slides along it as the rider passes. It betrays itself: where the
-body is said to have arrived, the earlier scan already saw a surface; where it is said to have left, there still
-is one. Only returns outside the other rectangle are asked, so a body's overlap with itself says nothing. Ours.
+A wall seen through gaps looks like a body that slides along it as the rider passes. It betrays itself: where
+the body is said to have arrived, the earlier scan already saw a surface; where it is said to have left,
+there still is one. Only returns outside the other rectangle are asked, so a body's overlap with itself says
+nothing. Ours.
 """
 
 from __future__ import annotations
@@ -77,8 +78,9 @@ def ask(
 def votes(scan: Scan, box: Array, earlier: Scan, earlier_box: Array, margin: Array) -> Array:
     """(4,) how many returns say: same, gone or new, hidden, unknown.
 
-    box, earlier_box (5,): x, y, heading, length, width of the body now and at the earlier scan, fixed frame W;
-    margin (2,) [m, m/m]: distance below which two surfaces are the same, and what each metre of range adds to it.
+    box, earlier_box (5,): x, y, heading, length, width of the body now and at the earlier scan, fixed frame
+    W; margin (2,) [m, m/m]: distance below which two surfaces are the same, and what each metre of range
+    adds to it.
     """
     out = np.zeros(4)
     for here, there, mine, other in ((scan, earlier, box, earlier_box), (earlier, scan, earlier_box, box)):

@@ -40,8 +40,8 @@ def detect(scan: Scan, settings: Detect) -> tuple[Segments, Detections]:
     """Segments of a scan and the closeness rectangle of each, marked by size; empty where nothing returned.
 
     Scan in the fixed frame W. A segment longer than `max_length_m` or wider than `max_width_m` is LARGE, one
-    with fewer than `min_hits` returns or both sides shorter than `min_length_m` is SMALL. Covariance is that of
-    the middle of what was seen: the range noise across, a quarter of the seen extent along it.
+    with fewer than `min_hits` returns or both sides shorter than `min_length_m` is SMALL. Covariance is that
+    of the middle of what was seen: the range noise across, a quarter of the seen extent along it.
     """
     segments = segment(scan, settings)
     n = len(segments.start)

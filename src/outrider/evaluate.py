@@ -79,8 +79,8 @@ class Evaluation:
         s = self.scene
         located, missed, false = _shown(s.localisation_m2), _shown(s.missed_m2), _shown(s.false_m2)
         lines += [
-            f"scene: {s.scans} scans with a moving body, GOSPA {_shown(s.gospa_m)} m, "
-            f"false tracks {_shown(s.false_tracks)} a scan",
+            f"scene: {s.scans} scans with a moving body, false tracks {_shown(s.false_tracks)} a scan",
+            f"  GOSPA {_shown(s.gospa_m)} m",
             f"  parts of GOSPA ** 2: located {located}, missed {missed}, false {false} m2",
             "alerts: " + ", ".join(f"{name} {n}" for name, n in self.alerts.items()),
         ]

@@ -50,7 +50,7 @@ def beam_angles(sensor: Sensor) -> Array:
 def cast(origin: Array, heading: Array, shapes: Shapes) -> Echo:
     """Nearest echo of rays from origin (n, 2) [m] along heading (n,) [rad], both in W."""
     ray = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         found = [
             _rectangles(origin, ray, shapes.pose, shapes.extent),
             _circles(origin, ray, shapes.centre, shapes.radius),

@@ -23,7 +23,7 @@ RUNNING = 2.5  # slower, what moves across its length may be people side by side
 
 
 def direct(book: Book, rows: Ints, scan: Scan, settings: Settings) -> None:
-    """Until the front is known it is the end that leads; a body that never moved faces the way the rider does."""
+    """Until the front is known it is the end that leads; what never moved faces the way the rider does."""
     free = rows[~book.directed[rows]]
     v = book.x[free, 2:4]
     speed = np.hypot(v[:, 0], v[:, 1])
@@ -67,7 +67,7 @@ def straighten(book: Book, rows: Ints, scan: Scan, settings: Settings) -> None:
 
 
 def judge(book: Book, rows: Ints, scan: Scan, earlier: tuple[Scan, ...], settings: Settings) -> None:
-    """Tentative, static or moving: by sightings, by speed, and by what earlier scans say of the same places."""
+    """Tentative, static or moving: by sightings, speed, and what earlier scans say of the same places."""
     t = settings.track
     _confirm(book, rows, settings)
     rows = rows[book.state[rows] != TENTATIVE]
@@ -106,7 +106,7 @@ def _confirm(book: Book, rows: Ints, settings: Settings) -> None:
 
 
 def _margin(settings: Settings) -> tuple[float, float]:
-    """Distance below which two surfaces are taken for the same one, and what each metre of range adds [m, m/m]."""
+    """Distance below which two surfaces are one, and what each metre of range adds [m, m/m]."""
     noise = float(np.hypot(settings.detect.range_noise_m, settings.detect.shape_noise_m))
     return 0.15 + 3.0 * noise, settings.track.drift_per_range
 
@@ -121,7 +121,7 @@ def _way(book: Book, rows: Ints, scan: Scan, settings: Settings) -> Array:
 def _shifted(
     book: Book, i: int, speed: float, scan: Scan, earlier: tuple[Scan, ...], settings: Settings
 ) -> int | None:
-    """1 where an earlier scan agrees that the body has moved, 0 where it does not, None where it cannot say."""
+    """1 where an earlier scan agrees that the body has moved, 0 where not, None where it cannot say."""
     least, drift = _margin(settings)
     way = float(_way(book, np.array([i]), scan, settings)[0])
     old = next((s for s in reversed(earlier) if (scan.t - s.t) * speed > way and scan.t - s.t > 0.15), None)
@@ -138,7 +138,7 @@ def _shifted(
 
 
 def remember(earlier: tuple[Scan, ...], scan: Scan) -> tuple[Scan, ...]:
-    """Earlier scans with this one, thinned to one every HISTORY_STEP_S and none older than HISTORY_S or blind."""
+    """Earlier scans and this one, one every HISTORY_STEP_S, none older than HISTORY_S, none blind."""
     kept = tuple(s for s in earlier if scan.t - s.t <= HISTORY_S)
     if not scan.valid.any():
         return kept

@@ -1,8 +1,8 @@
 """The tracker's own short-term prediction: where a body will be one scan on, and how sure that is.
 
-Position: constant velocity with white acceleration held over a step; heading: constant rate, likewise. It serves
-the gate and the fit only; the published estimate is the observer's. Source: Bar-Shalom, Li and Kirubarajan,
-Estimation with Applications to Tracking and Navigation, 2001, section 6.3.
+Position: constant velocity with white acceleration held over a step; heading: constant rate, likewise. It
+serves the gate and the fit only; the published estimate is the observer's. Source: Bar-Shalom, Li and
+Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, section 6.3.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Rectangles fitted to the returns of one object: of unknown size (closeness), and of known size (visible sides).
+"""Rectangles fitted to the returns of one object: of unknown size, and of known size.
 
-Closeness: Zhang, Xu, Dong and Dolan, Efficient L-shape fitting for vehicle detection using laser scanners, IV 2017.
-The fit of the known size is ours: robust least squares of the distance to the sides the sensor can see, of the
-way a beam that went past cuts into the body, and of a weak prior.
+Closeness: Zhang, Xu, Dong and Dolan, Efficient L-shape fitting for vehicle detection using laser scanners,
+IV 2017. The fit of the known size is ours: robust least squares of the distance to the sides the sensor can
+see, of the way a beam that went past cuts into the body, and of a weak prior.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def _normal_equations(
     scale: Array,
     N: Array,
 ) -> tuple[float, int]:
-    """Cost at `pose`; fills N (3, 4), information and gradient of the reweighted squares; mask of the sides hit."""
+    """Cost at `pose`, mask of the sides hit; fills N (3, 4): information and gradient, reweighted."""
     x, y, h = pose[0], pose[1], pose[2]
     c, s = np.cos(h), np.sin(h)
     a, b = 0.5 * size[0], 0.5 * size[1]
@@ -210,11 +210,10 @@ def fit_sized(
 ) -> tuple[float, int]:
     """Gauss-Newton from `start` (3,); leaves the best pose in `pose` (3,) and in N (3, 4) the information.
 
-    p, o: (n, 2) returns of the object and where the sensor was; far, far_o: (m, 2) returns beside or behind it,
-    weight (m,) how much each counts if it passed through the body.
-    prior: x, y, heading, position sigma, heading sigma. size: length, width. scale: sigma [m], Cauchy width in
-    sigmas. Returns the cost and the bit mask of the sides seen
-    (1: a short side, 2: a long side).
+    p, o: (n, 2) returns of the object and where the sensor was; far, far_o: (m, 2) returns beside or behind
+    it, weight (m,) how much each counts if it passed through the body. prior: x, y, heading, position sigma,
+    heading sigma. size: length, width. scale: sigma [m], Cauchy width in sigmas. Returns the cost and the
+    bit mask of the sides seen (1: a short side, 2: a long side).
     """
     trial, M = np.empty(3), np.empty((3, 4))
     copy(start, pose)

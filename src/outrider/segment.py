@@ -1,7 +1,7 @@
-"""Runs of neighbouring returns that belong to one object: the adaptive breakpoint rule with a limit on the gap.
+"""Runs of neighbouring returns that belong to one object: the adaptive breakpoint rule, gaps limited.
 
-Source: Borges and Aldon, Line extraction in 2D range images for mobile robotics, J. Intell. Robot. Syst. 2004,
-for the breakpoint distance; the limits on angular gap and on the distance itself are ours.
+Source: Borges and Aldon, Line extraction in 2D range images for mobile robotics, J. Intell. Robot. Syst.
+2004, for the breakpoint distance; the limits on angular gap and on the distance itself are ours.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import numpy as np
 from outrider.geometry import wrap
 from outrider.records import Array, Ints, Scan
 from outrider.settings import Detect
-
 
 T = TypeVar("T", Array, Ints)
 
@@ -29,9 +28,10 @@ class Segments:
 
 
 def _breaks(scan: Scan, beams: Ints, settings: Detect) -> Array:
-    """Distance [m] to the return before where a segment starts at row i of `beams`, else 0; row 0 follows the last.
+    """Distance [m] to the return before where a segment starts at row i of `beams`, else 0; a ring.
 
-    Where the turn of the lidar begins and ends, two neighbours are a whole turn apart in time: always a break.
+    Where the turn of the lidar begins and ends, two neighbours are a whole turn apart in time: always a
+    break.
     """
     increment = abs(float(scan.angle[-1] - scan.angle[0])) / max(len(scan.angle) - 1, 1)
     lam = settings.breakpoint_angle_rad

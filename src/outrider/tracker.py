@@ -170,7 +170,7 @@ def _correct(book: Book, rows: Ints, fits: associate.Fits, chosen: Ints, setting
 
 
 def _reconsider(x: Array, P: Array, pose: Array, chosen: Ints) -> None:
-    """Where the fit stands across the prediction, the sides were confused: take the fit's axis, along the motion."""
+    """Where a fit stands across its prediction, sides were confused: take its axis, along the motion."""
     turn = wrap(pose[chosen, 2] - x[:, 4])
     across = np.abs(turn) > 0.25 * np.pi
     fast = np.hypot(x[:, 2], x[:, 3]) > moving.SIGNIFICANT * np.sqrt(P[:, 2, 2] + P[:, 3, 3])
