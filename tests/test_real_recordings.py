@@ -111,7 +111,7 @@ def test_one_identity_from_the_first_second_to_the_end(run, changes):
 
 @pytest.mark.parametrize(
     ("run", "velocity_mps", "yaw_deg"),
-    [("overtakes", 0.19, 6.0), ("parallel", 0.20, 4.0), ("overtake_ego", 0.11, 3.0)],
+    [("overtakes", 0.19, 6.0), ("parallel", 0.20, 4.0), ("overtake_ego", 0.12, 3.0)],
 )
 def test_motion_of_the_target(run, velocity_mps, yaw_deg):
     """The multi-stage observer behind the real front end, in the recording's metres."""

@@ -15,6 +15,7 @@ from outrider.kernel import kernel
 TICK = 1e-3  # shortest look ahead: contacts that last less may be missed [s]
 STANDING = 0.5  # a slower rider's corridor lies along the body, not along the path [m/s]
 LOOK = 4.0  # braking is followed until the target stands, for at most so many horizons
+BRAKING_TRIALS = 16  # values of braking tried, down from stopping short, before the edge is bisected
 
 
 class Body(NamedTuple):
@@ -209,7 +210,10 @@ def _touches(b: Body, r: Mover, rate: float, horizon: float) -> Any:
 
 @kernel
 def required_deceleration(b: Body, r: Mover, ttc: float, horizon: float) -> Any:
-    """Least constant braking that avoids the touch at ttc, to 0.5 % [m/s2]; inf where braking cannot."""
+    """Least constant braking above which none touches, to 0.5 % [m/s2]; inf where braking cannot help.
+
+    Less may avoid a touch too, by passing first; but then somewhat more would not, so it is no advice.
+    """
     if ttc == np.inf:
         return 0.0
     if ttc == 0.0 or b.speed == 0.0:
@@ -221,6 +225,12 @@ def required_deceleration(b: Body, r: Mover, ttc: float, horizon: float) -> Any:
     low, high = 0.0, 0.5 * b.speed**2 / abs(travelled(b, ttc)) * (1.0 + 1e-6)  # stands where it would touch
     while _touches(b, r, high, horizon):
         low, high = high, 2.0 * high
+    for k in range(BRAKING_TRIALS - 1, 0, -1):  # the highest that still touches
+        if _touches(b, r, high * k / BRAKING_TRIALS, horizon):
+            low, high = max(low, high * k / BRAKING_TRIALS), high * (k + 1) / BRAKING_TRIALS
+            break
+    else:
+        high = high / BRAKING_TRIALS
     middle = max(0.995 * high, low)
     while high - low > 0.005 * high:
         if _touches(b, r, middle, horizon):
