@@ -27,13 +27,15 @@ def alive(book: Book, t: float, settings: Settings) -> Bools:
 
 def _doubled(book: Book, t: float) -> Bools:
     """(n,) whether a younger track that is not known to move stands in an older one."""
+    out = np.zeros(len(book), np.bool_)
+    young = np.flatnonzero((book.state != TrackState.CONFIRMED) & (book.state != TrackState.COASTING))
     now = book.x[:, :2] + book.x[:, 2:4] * (t - book.seen)[:, None]
-    d = now[:, None] - now[None]  # row: the younger, column: the older
+    d = now[young, None] - now[None]  # row: the younger, column: the older
     c, s = np.cos(book.x[:, 4]), np.sin(book.x[:, 4])
     u = np.abs(d[..., 0] * c + d[..., 1] * s) < 0.5 * book.size[:, 0]
     v = np.abs(d[..., 1] * c - d[..., 0] * s) < 0.5 * book.size[:, 1]
-    moving = (book.state == TrackState.CONFIRMED) | (book.state == TrackState.COASTING)
-    return np.asarray(np.tril(u & v, -1).any(axis=1) & ~moving)
+    out[young] = (u & v & (np.arange(len(book)) < young[:, None])).any(axis=1)
+    return out
 
 
 def births(

@@ -38,6 +38,8 @@ class Book:
 
     def keep(self, mask: Bools) -> Book:
         """The tracks where mask (n,) holds."""
+        if mask.all():
+            return self
         return replace(self, **{f.name: getattr(self, f.name)[mask] for f in fields(self)})
 
     def writable(self) -> Book:
@@ -46,6 +48,8 @@ class Book:
 
     def append(self, other: Book) -> Book:
         """These tracks, then those of `other`."""
+        if not len(other):
+            return self
         return Book(*(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)))
 
 

@@ -50,12 +50,14 @@ def straighten(book: Book, rows: Ints, scan: Scan, settings: Settings) -> None:
     sure = speed > np.maximum(RUNNING, SIGNIFICANT * np.sqrt(book.P[rows, 2, 2] + book.P[rows, 3, 3]))
     across = np.abs(wrap_axis(course - book.x[rows, 4])) > ACROSS
     wrong = sure & across & (book.state[rows] == CONFIRMED) & (book.size[rows, 0] < d.max_width_m)
+    if not wrong.any():
+        return
     i, course = rows[wrong], course[wrong]
-    old, n = book.size[i], len(i)
+    old = book.size[i]
     template = body.TEMPLATES[np.abs(old[:, :1] - body.TEMPLATES[:, 1]).argmin(axis=1)]
     new = np.column_stack([np.maximum(old[:, 1], template[:, 0]), old[:, 0], template[:, 2], old[:, 2]])
     ahead = np.column_stack([np.cos(course), np.sin(course)])
-    eye = np.sum((scan.W_sensor[-1:, :2] - book.x[i, :2]) * ahead, axis=1) if n else np.zeros(0)
+    eye = np.sum((scan.W_sensor[-1:, :2] - book.x[i, :2]) * ahead, axis=1)
     seen = np.abs(eye) > 0.5 * old[:, 1]
     book.x[i, :2] -= np.where(seen, 0.5 * np.sign(eye) * (new[:, 0] - old[:, 1]), 0.0)[:, None] * ahead
     book.x[i, 4], book.x[i, 5] = course, 0.0

@@ -21,14 +21,17 @@ def predict(x: Array, P: Array, dt: Array, q: Array, qh: float) -> tuple[Array, 
 
     q (n,): standard deviation of the acceleration [m/s2]; qh: of the yaw acceleration [rad/s2].
     """
-    F = np.tile(np.eye(6), (len(x), 1, 1))
-    Q = np.zeros((len(x), 6, 6))
+    x, P = x.copy(), P.copy()
     for (a, b), noise in zip(CHAINS, (q, q, np.full(len(x), qh)), strict=True):
-        F[:, a, b] = dt
-        Q[:, a, a] = noise**2 * dt**4 / 4.0
-        Q[:, a, b] = Q[:, b, a] = noise**2 * dt**3 / 2.0
-        Q[:, b, b] = noise**2 * dt**2
-    return (F @ x[:, :, None])[:, :, 0], F @ P @ F.transpose(0, 2, 1) + Q
+        x[:, a] += dt * x[:, b]
+        P[:, a] += dt[:, None] * P[:, b]  # F P
+        P[:, :, a] += dt[:, None] * P[:, :, b]  # F P F'
+        spread = (noise * dt) ** 2
+        P[:, a, a] += spread * dt**2 / 4.0
+        P[:, a, b] += spread * dt / 2.0
+        P[:, b, a] += spread * dt / 2.0
+        P[:, b, b] += spread
+    return x, P
 
 
 def correct(

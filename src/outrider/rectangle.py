@@ -12,7 +12,7 @@ import numpy as np
 from outrider.kernel import kernel
 from outrider.records import Array
 
-ANGLES = 45  # headings tried over a quarter turn before the best is refined
+ANGLES = 30  # headings tried over a quarter turn before the best is refined
 MOST_HITS = 48  # returns of one object used in a fit; evenly thinned beyond
 
 
