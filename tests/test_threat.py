@@ -198,6 +198,7 @@ def test_no_braking_where_not_accelerating_is_enough():
     assert threats.required_deceleration[0] == 0.0
 
 
+@example(r=8.0, bearing=-1.5, speed=12.0, yaw_rate=0.25, v=3.0, w=0.0)  # touches for a few milliseconds
 @given(
     st.floats(8.0, 30.0), st.floats(-np.pi, np.pi), st.floats(2.0, 15.0),
     st.floats(-0.3, 0.3), st.floats(0.0, 6.0), st.floats(-0.3, 0.3),

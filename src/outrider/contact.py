@@ -205,7 +205,7 @@ def _touches(b: Body, r: Mover, rate: float, horizon: float) -> Any:
     braked = Body(
         b.x, b.y, b.yaw, b.course, v, -np.copysign(rate, v), b.curvature, stop, b.half_length, b.half_width
     )
-    return first_contact(braked, r, look, 10.0 * TICK) < np.inf
+    return first_contact(braked, r, look, TICK) < np.inf
 
 
 @kernel
