@@ -213,10 +213,10 @@ def write(
     with Interrupts() as ctrl_c, RunWriter(folder, settings, force=force, about=_about(opened)) as writer:
         try:
             for scan in opened.stream:
-                begin = time.perf_counter()
-                memory, frame = pipeline.step(memory, scan, settings, engine)
-                tally.add(frame, time.perf_counter() - begin)
-                with ctrl_c.held():
+                with ctrl_c.held():  # a compiler at work in the first steps does not bear an exception
+                    begin = time.perf_counter()
+                    memory, frame = pipeline.step(memory, scan, settings, engine)
+                    tally.add(frame, time.perf_counter() - begin)
                     writer.write(frame)
                 if watch:
                     watch(frame)
