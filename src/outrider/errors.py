@@ -17,9 +17,3 @@ class OutputError(OutriderError):
     """A result that could not be written (permissions, disk full); what was written before stays readable."""
 
     exit_code = 2
-
-
-class NotCertified(OutriderError):
-    """A proof that was asked for and does not hold."""
-
-    exit_code = 3
