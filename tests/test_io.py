@@ -467,6 +467,9 @@ def test_memory_does_not_grow_with_the_recording(tmp_path, target):
         path = tmp_path / str(n)
         path.mkdir()
         path = write(path, target, messages)
+        return min(once(path) for _ in range(3))  # how far ahead a reading thread is, is chance
+
+    def once(path):
         before = pa.total_allocated_bytes()
         tracemalloc.start()
         most = 0
