@@ -106,13 +106,13 @@ def test_what_is_too_large_or_too_far_is_not_worth_a_fit():
     scan = prepared(simulate.record(room))[0]
     _, found = detect.detect(scan, SETTINGS.detect)
     x, P, size = np.zeros((1, 6)), np.tile(0.05 * np.eye(6), (1, 1, 1)), np.array([[4.5, 1.8]])
-    t = np.array([scan.t])
+    dt = found.hit_t[None] - scan.t
     x[0, :2] = [8.0, 4.0]
-    pairs = near_pairs(x, P, size, t, found, GATE)
+    pairs = near_pairs(x, P, size, dt, found, GATE)
     assert len(pairs)
     assert (np.hypot(*(found.W_p[pairs[:, 1]] - [8.0, 4.0]).T) < 6.0).all()
     x[0, :2] = [-30.0, -30.0]
-    assert len(near_pairs(x, P, size, t, found, GATE)) == 0
+    assert len(near_pairs(x, P, size, dt, found, GATE)) == 0
 
 
 # ------------------------------------------------------------------ whole bodies

@@ -380,3 +380,16 @@ def test_the_covariance_of_every_track_is_one():
         assert (np.linalg.eigvalsh(cov) > 0.0).all()
         P = step.memory.book.P
         assert (np.linalg.eigvalsh(P)[:, 0] > -1e-9).all()
+
+
+def test_what_stands_is_remembered_where_it_was_seen():
+    """Ten seconds out of sight: a parked car neither drifts with its noise nor claims the street."""
+    engine = tracker.engine(Settings())
+    book = dataclasses.replace(
+        empty(2, engine.n_states), state=np.array([TrackState.STATIC, TrackState.COASTING])
+    )
+    book.x[:, 2], book.P[:] = 0.2, 0.01 * np.eye(6)
+    tracks = tracker.estimate(book, 10.0, Settings(), engine)
+    assert np.sqrt(tracks.cov[0].diagonal()).max() < 0.2
+    assert np.sqrt(tracks.cov[1].diagonal()).min() > 10.0
+    assert book.ahead(10.0).tolist() == [pytest.approx(0.3), 10.0]

@@ -231,9 +231,8 @@ def fit(
     return Fits(pairs, t, pose, cov, cost, sides, hits, rows[:, 0], rows[:, 1], x, P)
 
 
-def near_pairs(x: Array, P: Array, size: Array, kt: Array, detections: Detections, gate: float) -> Ints:
-    """(k, 2) pairs of track and segment that are close enough to be worth a fit."""
-    dt = detections.hit_t[None, :] - kt[:, None]
+def near_pairs(x: Array, P: Array, size: Array, dt: Array, detections: Detections, gate: float) -> Ints:
+    """(k, 2) pairs of track and segment near enough for a fit; dt (n, m) [s] from track to segment."""
     centre = x[:, None, :2] + x[:, None, 2:4] * dt[:, :, None]
     apart = np.hypot(*(centre - detections.W_p[None]).transpose(2, 0, 1))
     spread = gate * np.sqrt(np.maximum(P[:, 0, 0], P[:, 1, 1])) + 0.5 * np.hypot(size[:, 0], size[:, 1])

@@ -29,7 +29,7 @@ def _doubled(book: Book, t: float) -> Bools:
     """(n,) whether a younger track that is not known to move stands in an older one."""
     out = np.zeros(len(book), np.bool_)
     young = np.flatnonzero((book.state != TrackState.CONFIRMED) & (book.state != TrackState.COASTING))
-    now = book.x[:, :2] + book.x[:, 2:4] * (t - book.seen)[:, None]
+    now = book.x[:, :2] + book.x[:, 2:4] * book.ahead(t)[:, None]
     d = now[young, None] - now[None]  # row: the younger, column: the older
     c, s = np.cos(book.x[:, 4]), np.sin(book.x[:, 4])
     u = np.abs(d[..., 0] * c + d[..., 1] * s) < 0.5 * book.size[:, 0]
@@ -50,7 +50,7 @@ def births(
     """New tentative tracks from segments that belong to none and lie in none."""
     new = np.flatnonzero((owner < 0) & (detections.kind == Kind.VEHICLE))
     if len(new) and len(book):
-        now = book.x[:, :2] + book.x[:, 2:4] * (scan.t - book.seen)[:, None]
+        now = book.x[:, :2] + book.x[:, 2:4] * book.ahead(scan.t)[:, None]
         near = np.hypot(*(detections.W_p[new, None] - now[None]).transpose(2, 0, 1))
         pairs = np.argwhere(near < 0.5 * np.hypot(book.size[:, 0], book.size[:, 1])[None, :] + 0.5)
         for a, b in pairs:

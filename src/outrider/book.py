@@ -6,9 +6,10 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from outrider.records import Array, Bools, Bytes, Ints, Scan
+from outrider.records import Array, Bools, Bytes, Ints, Scan, TrackState
 
 N_MEASURED = 9  # columns of an observer's measurement
+REST_S = 0.3  # what stands is predicted no further: it stays where it was seen, however long ago [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +36,11 @@ class Book:
 
     def __len__(self) -> int:
         return len(self.id)
+
+    def ahead(self, t: Array | float, rows: Ints | slice = slice(None)) -> Array:
+        """How far [s] to predict `rows` for the times t (they broadcast): at most REST_S what stands."""
+        dt = t - self.seen[rows]
+        return np.where(self.state[rows] == TrackState.STATIC, np.minimum(dt, REST_S), dt)
 
     def keep(self, mask: Bools) -> Book:
         """The tracks where mask (n,) holds."""

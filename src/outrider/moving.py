@@ -16,8 +16,8 @@ SLOW_S = 2.0  # a body slower than half the moving speed for longer is static
 HISTORY_S = 3.0  # how far back earlier scans are kept
 HISTORY_STEP_S = 0.2
 HOME_GAIN = 0.02  # of a standing body's home towards where it is now, a scan: forgets in some seconds
-LOOK_AGAIN_SURE_S = 1.5  # the same where eight looks in a row agreed
 LOOK_AGAIN_S = 0.4  # what moves is asked again whether it really does, this often
+LOOK_AGAIN_SURE_S = 1.5  # the same where eight looks in a row agreed
 ACROSS = np.pi / 3.0  # angle between length and course that no slip explains [rad]
 RUNNING = 2.5  # slower, what moves across its length may be people side by side [m/s]
 

@@ -15,6 +15,7 @@ from outrider.segment import Segments
 from outrider.settings import Settings
 
 COURSE_SIGMA = 0.5  # pull of the course on the predictor's heading [rad]
+CALM = 0.3  # what stands is expected to accelerate by this share of what moves
 HEADING_FLOOR = 0.05  # a fitted heading is never trusted more than this [rad]
 
 
@@ -72,7 +73,7 @@ def update(
 
 def _noise(book: Book, settings: Settings) -> Array:
     q = np.full(len(book), settings.track.acceleration_noise)
-    q[book.state == TrackState.STATIC] *= 0.3
+    q[book.state == TrackState.STATIC] *= CALM
     return q
 
 
@@ -81,13 +82,14 @@ def _associate(
 ) -> tuple[associate.Fits, Ints, Ints]:
     """All fits, the rows of them chosen, and the owner of each segment as a row of the chosen ones."""
     gate = settings.track.gate_sigma
-    pairs = associate.near_pairs(book.x, book.P, book.size, book.seen, detections, gate)
+    dt = book.ahead(detections.hit_t[:, None]).T
+    pairs = associate.near_pairs(book.x, book.P, book.size, dt, detections, gate)
     i, j = pairs.T
     t = detections.hit_t[j]
     x, P = predictor.predict(
         book.x[i],
         book.P[i],
-        t - book.seen[i],
+        dt[i, j],
         _noise(book, settings)[i],
         settings.track.yaw_acceleration_noise,
     )
@@ -239,7 +241,7 @@ def estimate(book: Book, t: float, settings: Settings, eng: Engine) -> Tracks:
     n = len(book)
     motion = np.zeros((n, 8))
     _, P = predictor.predict(
-        book.x, book.P, t - book.seen, _noise(book, settings), settings.track.yaw_acceleration_noise
+        book.x, book.P, book.ahead(t), _noise(book, settings), settings.track.yaw_acceleration_noise
     )
     running = np.flatnonzero(book.observed)
     if len(running):
