@@ -26,7 +26,7 @@ else:
         pass
 print(*Listener.names)
 """
-LATER = {"widen", "measure", "ask", "_assess", "start_all", "step_all", "predict_all", "motion_all"}
+LATER = {"widen", "measure", "ask", "_assess", "start_all", "step_all", "predict_all", "each_one"}
 
 
 def compiled(what, cache):

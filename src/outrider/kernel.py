@@ -19,7 +19,11 @@ from typing import Any, NamedTuple, TypeVar, cast
 
 import numba
 import numpy as np
-from numba.extending import overload, register_jitable
+import numpy.typing as npt
+from numba.core import cgutils
+from numba.core.imputils import lower_builtin
+from numba.extending import overload, register_jitable, type_callable
+from numba.np.arrayobj import make_array, populate_array
 
 from outrider.geometry import TAU
 
@@ -153,6 +157,49 @@ def rk4(rhs: Any, s: Any, y: Any, dy: Any, c: Any, dt: Any, n: Any) -> Any:
     return s
 
 
+# ------------------------------------------------------------------ small matrices
+
+
+def matrix(rows: int, columns: int) -> npt.NDArray[np.float64]:
+    """Zeros (rows, columns) to compute with; both literal numbers. Never return it from a kernel.
+
+    In compiled code it lies on the stack of the kernel that asks for it, so it costs no allocation.
+    """
+    return np.zeros((rows, columns))
+
+
+@type_callable(matrix)
+def _type_of_matrix(context):  # type: ignore[no-untyped-def]
+    def typer(rows, columns):  # type: ignore[no-untyped-def]
+        literal = numba.types.IntegerLiteral
+        known = isinstance(rows, literal) and isinstance(columns, literal)
+        return numba.types.Array(numba.float64, 2, "C") if known else None
+
+    return typer
+
+
+@lower_builtin(matrix, numba.types.IntegerLiteral, numba.types.IntegerLiteral)
+def _make_matrix(context, builder, signature, args):  # type: ignore[no-untyped-def]
+    rows, columns = (arg.literal_value for arg in signature.args)
+    kind, size = signature.return_type, 8 * rows * columns
+    place = cgutils.alloca_once(builder, cgutils.ir.ArrayType(cgutils.ir.DoubleType(), rows * columns))
+    cgutils.memset(builder, place, context.get_constant(numba.types.intp, size), 0)
+    array = make_array(kind)(context, builder)
+
+    def constants(*values: int) -> Any:
+        return cgutils.pack_array(builder, [context.get_constant(numba.types.intp, v) for v in values])
+
+    populate_array(
+        array,
+        data=builder.bitcast(place, array.data.type),
+        shape=constants(rows, columns),
+        strides=constants(8 * columns, 8),
+        itemsize=context.get_constant(numba.types.intp, 8),
+        meminfo=None,
+    )
+    return array._getvalue()
+
+
 # ------------------------------------------------------------------ drivers
 
 
@@ -167,6 +214,18 @@ class Stream(NamedTuple):
     step_all: Any  # (states (N, n_states), previous, measurement, dt, gains, index, out (N, n_states))
     predict_all: Any  # (states, dt, gains, index, out (N, n_states))
     motion_all: Any  # (states, gains, index, out (N, n_motion))
+
+
+@lru_cache
+def each(of: Any, State: Any) -> Any:
+    """Compiled each_one(states (N, n_states), gains, index, out (N, m)): what `of(state, gains)` says."""
+
+    @compiled
+    def each_one(states, gains, index, out):  # type: ignore[no-untyped-def]
+        for i in index:
+            to_row(of(from_row(State, states[i]), gains), out[i])
+
+    return each_one
 
 
 @lru_cache
@@ -191,12 +250,7 @@ def stream(start: Any, step: Any, predict: Any, motion: Any, State: Any, Measure
         for i in index:
             to_row(predict(from_row(State, states[i]), dt[i], gains), out[i])
 
-    @compiled
-    def motion_all(states, gains, index, out):  # type: ignore[no-untyped-def]
-        for i in index:
-            to_row(motion(from_row(State, states[i]), gains), out[i])
-
-    return Stream(start_all, step_all, predict_all, motion_all)
+    return Stream(start_all, step_all, predict_all, each(motion, State))
 
 
 @lru_cache
@@ -220,6 +274,30 @@ def batch(start: Any, step: Any, State: Any, Measurement: Any) -> Any:
                 elif y0[0] + y0[1] + y1[0] + y1[1] == y0[0] + y0[1] + y1[0] + y1[1]:
                     to_row(start(y0, y1, dt[i, k], gains), out[i, k])
                     started = True
+
+    return run
+
+
+@lru_cache
+def lagged(smooth: Any, State: Any) -> Any:
+    """Compiled loop over recordings: run(states (N, T, n), dt (N, T), lag, gains, out (N, T, n)).
+
+    out[i, k] is the state at sample k, smoothed back from the filtered one at sample k + lag; NaN rows where
+    either is not known.
+    """
+
+    @compiled
+    def run(states, dt, lag, gains, out):  # type: ignore[no-untyped-def]
+        out[:] = float("nan")
+        for i in range(states.shape[0]):
+            for k in range(states.shape[1] - lag):
+                if states[i, k, 0] != states[i, k, 0]:
+                    continue
+                s = from_row(State, states[i, k + lag])
+                for j in range(lag):
+                    m = k + lag - j
+                    s = smooth(from_row(State, states[i, m - 1]), s, dt[i, m], gains)
+                to_row(s, out[i, k])
 
     return run
 

@@ -47,6 +47,31 @@ class Motion(NamedTuple):
     yaw_rate: float  # [rad/s]
 
 
+class Innovation(NamedTuple):
+    """How far a measured position is from the predicted one, and how far it may be by chance."""
+
+    x: float  # measured minus predicted, in W [m]
+    y: float  # [m]
+    xx: float  # covariance of this difference, as the observer sees it [m2]
+    xy: float  # [m2]
+    yy: float  # [m2]
+
+
+class Spread(NamedTuple):
+    """Covariance of the estimated position (x, y) and velocity (u, v) in W; the ten entries of one half."""
+
+    xx: float  # [m2]
+    xy: float  # [m2]
+    yy: float  # [m2]
+    xu: float  # [m2/s]
+    yu: float  # [m2/s]
+    uu: float  # [m2/s2]
+    xv: float  # [m2/s]
+    yv: float  # [m2/s]
+    uv: float  # [m2/s2]
+    vv: float  # [m2/s2]
+
+
 class Observer(Protocol):
     """The contract of a file in this folder: names at module level, functions pure and marked `@kernel`."""
 
@@ -70,8 +95,16 @@ class Observer(Protocol):
     def motion(self, state: Any, gains: Any) -> Motion:
         """The state in common terms."""
 
+    def innovation(self, state: Any, measurement: Measurement, gains: Any) -> Innovation:
+        """Measured minus predicted position, with covariance; `state` is at the measurement's time."""
+
     def certificate(self) -> Any:
-        """Proof of stability of the published gains, or None."""
+        """Proof of stability of the default gains, or None."""
+
+    # Only some observers have these; ask with hasattr.
+    #   DESIGNED: Gains                                     gains from our own matrix inequalities
+    #   spread(state, gains) -> Spread                      covariance, where there is one
+    #   smooth(state, later, dt, gains) -> State            state with what `later`, dt [s] after it, knows
 
 
 def names() -> list[str]:
@@ -127,4 +160,42 @@ def batch(observer: Observer, measurements: Array, dt: Array, gains: Any) -> Arr
     out = np.empty((*dt.shape, len(observer.State._fields)))
     run = kernel.batch(observer.start, observer.step, observer.State, Measurement)
     run(y, dt, gains, out)
+    return out
+
+
+def lagged(observer: Any, states: Array, dt: Array, lag: int, gains: Any) -> Array:
+    """States (N, T, n_states) at each sample as known `lag` samples later, from what `batch` gave.
+
+    Fixed-lag smoothing: row k looks back from the filtered state of sample k + lag; the last `lag` rows are
+    NaN. InputError for a negative lag, or an observer that cannot smooth.
+    """
+    from outrider import kernel
+
+    if not hasattr(observer, "smooth"):
+        able = [name for name in names() if hasattr(get(name), "smooth")]
+        raise InputError(f"this observer has no smoothing over a lag; want one of {', '.join(able)}")
+    if lag < 0:
+        raise InputError(f"lag = {lag} scans; want 0 or more")
+    out = np.empty_like(states)
+    run = kernel.lagged(observer.smooth, observer.State)
+    run(np.ascontiguousarray(states), np.ascontiguousarray(dt, float), lag, gains, out)
+    return out
+
+
+def described(observer: Observer, states: Array, gains: Any) -> Array:
+    """Motions (n, 8) of states (n, n_states); NaN where a state is."""
+    out = np.full((len(states), len(Motion._fields)), np.nan)
+    known = np.flatnonzero(np.isfinite(states).all(axis=1))
+    stream(observer).motion_all(np.ascontiguousarray(states), gains, known, out)
+    return out
+
+
+def spreads(observer: Any, states: Array, gains: Any) -> Array:
+    """Covariances (n, 10) of states (n, n_states) as `Spread`; NaN where a state is, or there is none."""
+    from outrider import kernel
+
+    out = np.full((len(states), len(Spread._fields)), np.nan)
+    if hasattr(observer, "spread"):
+        known = np.flatnonzero(np.isfinite(states).all(axis=1))
+        kernel.each(observer.spread, observer.State)(np.ascontiguousarray(states), gains, known, out)
     return out

@@ -10,7 +10,8 @@ from math import atan2, ceil, cos, exp, hypot, inf, log1p, pi, sin
 from typing import NamedTuple
 
 from outrider.kernel import kernel, rk4, wrap
-from outrider.observers import Measurement, Motion
+from outrider.observers import Innovation, Measurement, Motion
+from outrider.observers._measured import directed, heading_or, pointed, seen
 
 reference = (
     "H. Alai and R. Rajamani, Multi-Stage Estimation Algorithm for Target Vehicle Trajectory Tracking with "
@@ -37,7 +38,6 @@ V_MAX, A_MAX, J_MAX = (
     1000.0,
 )  # far beyond any vehicle: only keep numbers finite [m/s, m/s2, m/s3]
 GAP_MAX = 5.0  # over a longer gap nothing is read from the line between two samples [s]
-FAR = 1e8  # a coordinate further out is not one [m]
 HEADING_VARIANCE = 0.01  # at which the gain on the rectangle's heading is halved [rad2]
 
 
@@ -118,35 +118,35 @@ def rhs(s: State, y: Output, c: Coefficients) -> State:
 @kernel
 def start(y0: Measurement, y1: Measurement, dt: float, gains: Gains) -> State:
     """State at rest, or moving forward along the way from y0 to y1 where it is longer than the noise."""
-    if not (_seen(y0) and _seen(y1)):
-        y = y1 if _seen(y1) else y0
-        return State(0.0, 0.0, 0.0, 0.0, _heading(y, 0.0), 0.0, y.x, y.y)
+    if not (seen(y0) and seen(y1)):
+        y = y1 if seen(y1) else y0
+        return State(0.0, 0.0, 0.0, 0.0, heading_or(y, 0.0), 0.0, y.x, y.y)
     dx, dy = y1.x - y0.x, y1.y - y0.y
     alpha = atan2(dy, dx)
-    if 0.0 < dt < inf and _directed(dx, dy, y0, y1, gains):
+    if 0.0 < dt < inf and directed(dx, dy, y0, y1, gains.noise, gains.gate):
         V = min(hypot(dx, dy) / dt, V_MAX)
         return State(0.0, V, 0.0, 0.0, wrap(alpha), 0.0, y1.x, y1.y)
-    return State(0.0, 0.0, 0.0, 0.0, _heading(y1, _heading(y0, wrap(alpha))), 0.0, y1.x, y1.y)
+    return State(0.0, 0.0, 0.0, 0.0, heading_or(y1, heading_or(y0, wrap(alpha))), 0.0, y1.x, y1.y)
 
 
 @kernel
 def step(state: State, previous: Measurement, measurement: Measurement, dt: float, gains: Gains) -> State:
     """State at the next sample: RK4, inputs on the line between the two samples, sub-step <= 0.5 / gain."""
-    if not (_seen(measurement) and dt <= GAP_MAX):
+    if not (seen(measurement) and dt <= GAP_MAX):
         return predict(state, dt, gains)
     if not dt > 0.0:
         return state
-    before = previous if _seen(previous) else _stand_in(state, measurement)
+    before = previous if seen(previous) else _stand_in(state, measurement)
     dx, dy = measurement.x - before.x, measurement.y - before.y
     chi = state.psi + state.beta + 0.5 * dt * state.V * sin(state.beta) / gains.l_r
     way = dx * cos(chi) + dy * sin(chi)  # signed: projected on the course half way
     aside = dy * cos(chi) - dx * sin(chi)
     e = atan2(aside, way) if way >= 0.0 else atan2(-aside, -way)  # from the course axis, in [-pi/2, pi/2]
     moved = hypot(dx, dy) <= V_MAX * dt + gains.noise  # or the point has jumped
-    directed = moved and _directed(dx, dy, before, measurement, gains)
-    c = _coefficients(state, measurement, moved, directed, gains)
-    psi0 = _heading(before, _heading(measurement, state.psi))
-    turn = wrap(_heading(measurement, psi0) - psi0)
+    clear = moved and directed(dx, dy, before, measurement, gains.noise, gains.gate)
+    c = _coefficients(state, measurement, moved, clear, gains)
+    psi0 = heading_or(before, heading_or(measurement, state.psi))
+    turn = wrap(heading_or(measurement, psi0) - psi0)
     y = Output(0.0, chi + e, psi0, before.x, before.y)
     rate = Output(way / dt, 0.0, turn / dt, dx / dt, dy / dt)
     fastest = max(c.L_S, c.L_w, abs(c.L_psi + c.L_beta) + c.L_heading)
@@ -185,13 +185,21 @@ def motion(state: State, gains: Gains) -> Motion:
     return Motion(s.x, s.y, s.V, s.A, wrap(s.psi + s.beta), wrap(s.psi), s.beta, yaw_rate)
 
 
+@kernel
+def innovation(state: State, measurement: Measurement, gains: Gains) -> Innovation:
+    """Against the position; its covariance: the sensor's, and one sample of the position observer's noise."""
+    y, least = measurement, gains.noise**2
+    xx, yy = 2.0 * max(y.xx, least), 2.0 * max(y.yy, least)
+    return Innovation(y.x - state.x, y.y - state.y, xx, 2.0 * y.xy, yy)
+
+
 def certificate() -> None:
     """None: no proof is kept for the observer as it runs here."""
 
 
 @kernel
 def _coefficients(
-    state: State, measurement: Measurement, moved: bool, directed: bool, gains: Gains
+    state: State, measurement: Measurement, moved: bool, clear: bool, gains: Gains
 ) -> Coefficients:
     """Gains of this sample: Table I at the nearest nominal speed, mirrored when reversing."""
     i = 0
@@ -200,10 +208,10 @@ def _coefficients(
     L_psi, L_beta = gains.orientation * L_PSI[i], gains.orientation * L_BETA[i]
     if state.V < 0.0:  # the same poles as forward, where the published signs would be unstable
         L_psi, L_beta = L_psi + 2.0 * L_beta, -L_beta
-    if not directed:
+    if not clear:
         L_psi, L_beta = 0.0, 0.0
     L_heading = 0.0
-    if _pointed(measurement):
+    if pointed(measurement):
         L_heading = gains.heading * HEADING_VARIANCE / (HEADING_VARIANCE + measurement.heading_variance)
     k = gains.speed if moved else 0.0
     return Coefficients(
@@ -217,32 +225,6 @@ def _coefficients(
         gains.L_w,
         gains.l_r,
     )
-
-
-@kernel
-def _seen(measurement: Measurement) -> bool:
-    """Whether there is a position."""
-    return abs(measurement.x) < FAR and abs(measurement.y) < FAR
-
-
-@kernel
-def _pointed(measurement: Measurement) -> bool:
-    """Whether there is a heading of the rectangle."""
-    return abs(measurement.heading) < FAR and 0.0 <= measurement.heading_variance < inf
-
-
-@kernel
-def _directed(dx: float, dy: float, y0: Measurement, y1: Measurement, gains: Gains) -> bool:
-    """Whether the way (dx, dy) is long against its standard deviation across, so that it has a direction."""
-    d2 = dx * dx + dy * dy
-    across = (y0.xx + y1.xx) * dy * dy - 2.0 * (y0.xy + y1.xy) * dx * dy + (y0.yy + y1.yy) * dx * dx
-    return d2 * d2 > gains.gate**2 * max(across, 2.0 * gains.noise**2 * d2) and d2 > 0.0
-
-
-@kernel
-def _heading(measurement: Measurement, otherwise: float) -> float:
-    """Heading of the rectangle where it is known [rad]."""
-    return wrap(measurement.heading) if _pointed(measurement) else otherwise
 
 
 @kernel
