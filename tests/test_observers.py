@@ -276,7 +276,7 @@ def test_unknown_names_are_refused_with_the_nearest() -> None:
         observers.get("multistage")
     observer = observers.get("multi_stage")
     with pytest.raises(
-        InputError, match=r"observer\.gains: 'orientaton' is not known; did you mean orientation"
+        InputError, match=r"observer\.gains\.multi_stage: 'orientaton' is not known; did you mean orientation"
     ):
         observers.gains_from(observer, {"orientaton": 1.0})
     with pytest.raises(InputError, match="want one of L_S"):

@@ -26,7 +26,9 @@ def test_defaults_survive_a_file(tmp_path):
     length=st.none() | st.floats(0.1, 20.0),
     increment=st.none() | st.floats(-1e-2, 1e-2),
     topics=st.lists(st.text(max_size=20), max_size=3),
-    gains=st.dictionaries(st.text(max_size=9), st.floats(allow_nan=False)),
+    gains=st.dictionaries(
+        st.text(max_size=9), st.dictionaries(st.text(max_size=9), st.floats(allow_nan=False)), max_size=3
+    ),
 )
 def test_any_settings_survive_a_file(tmp_path, scale, hits, length, increment, topics, gains):
     settings = Settings(
@@ -75,14 +77,14 @@ def test_override_takes_toml_values_and_bare_words():
             "recording.scan_topic=/front scan",
             "recording.ego_topic=none",
             'recording.truth_topics=["/a", "/b"]',
-            "observer.gains.speed=3.0",
+            "observer.gains.multi_stage.speed=3.0",
         ],
     )
     assert settings.detect == Detect(min_hits=5, body_length_m=4.2)
     assert settings.recording.scan_topic == "/front scan"
     assert settings.recording.ego_topic == "none"
     assert settings.recording.truth_topics == ("/a", "/b")
-    assert settings.observer.gains == {"speed": 3.0}
+    assert settings.observer.gains == {"multi_stage": {"speed": 3.0}}
 
 
 def test_override_with_none_goes_back_to_the_default():

@@ -102,7 +102,7 @@ _DATMO_SETTINGS: Mapping[str, Mapping[str, Any]] = {
         "moving_speed_mps": 1.0,
         "drift_per_range": 0.05,  # the walls wander by 0.2 m at 5 m
     },
-    "observer": {"gains": {"speed": 3.0, "orientation": 1.43, "heading": 30.0}},
+    "observer": {"gains": {"multi_stage": {"speed": 3.0, "orientation": 1.43, "heading": 30.0}}},
 }
 
 

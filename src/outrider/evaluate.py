@@ -25,6 +25,15 @@ COUNTED = ("caution", "danger")  # alerts that warn
 
 
 @dataclass(frozen=True, slots=True)
+class Body:
+    """One body whose true poses a recording holds."""
+
+    name: str
+    truth: Truth  # at the times of the poses
+    extent: Array | None  # (2,) length, width [m]; None: the recording does not say
+
+
+@dataclass(frozen=True, slots=True)
 class Target:
     """One body whose truth is known."""
 
@@ -94,13 +103,15 @@ def evaluate(
     gate: float | None = None,
     skip: float = 1.0,
     until: float | None = None,
+    lagged: bool = False,
 ) -> Evaluation:
     """Scores a run against the true poses of one or more bodies.
 
     truth: poses; or the recording that holds them, by path or `dataset:` name; None: the recording that the
     run was made from. offset: the body centre in the frame whose pose was measured [m]; None: as the data set
     says, else (0, 0). gate: how near a track must be [m]; None: 3.5 m in the full-size world. Scans from
-    `skip` to `until` seconds after the first one count; until None: as long as the data set is sound.
+    `skip` to `until` seconds after the first one count; until None: as long as the data set is sound. lagged:
+    score the smoothed tracks of `observer.lag_scans` scans later.
 
     Raises InputError where there is no truth, no scan to compare it with, or no run.
     """
@@ -110,16 +121,11 @@ def evaluate(
         until = known.valid_until_s if known and known.valid_until_s is not None else np.inf
     gate = GATE_M / run.settings.recording.scale if gate is None else gate
     t, rider = _rider(run, skip, until)
-    estimates = _estimates(run)
+    estimates = _estimates(run, lagged)
     targets: list[Target] = []
-    for (topic, body), group in _by_body(poses).items():
-        centre = offset or (known.truth_offset_m.get(topic) if known else None) or (0.0, 0.0)
-        stamps = np.array([pose.stamp_ns for pose in group]) * 1e-9
-        motion = truth_from_poses(stamps, np.array([pose.xyyaw for pose in group]), centre).at(t)
-        told = group[0].extent if len(group[0].extent) == 2 else None
-        size = known.truth_extent_m.get(topic) if known and told is None else told
-        name = topic if body in topic else f"{topic} {body}"
-        targets.append(_target(name, run, motion, _extent(run, size), gate, rider, estimates))
+    for body in bodies(poses, known, offset):
+        extent = _extent(run, body.extent)
+        targets.append(_target(body.name, run, body.truth.at(t), extent, gate, rider, estimates))
     if not targets:
         raise InputError(f"{run.folder}: no true pose to compare with; name a recording that holds some")
     return Evaluation(tuple(targets), _scene(run, targets, estimates, gate), _alerts(run))
@@ -138,24 +144,47 @@ def _poses(run: Run, source: Iterable[Pose] | Path | str | None) -> tuple[Iterab
     return (message for message in found if isinstance(message, Pose)), known
 
 
-def _by_body(poses: Iterable[Pose]) -> dict[tuple[str, str], list[Pose]]:
+def bodies(
+    poses: Iterable[Pose],
+    known: Entry | None = None,
+    offset: Sequence[float] | None = None,
+    scale: float = 1.0,
+) -> list[Body]:
+    """The bodies whose true poses these are, at the times of the poses; all lengths times `scale`.
+
+    offset: the body centre in the frame whose pose was measured, in the recording's lengths [m]; None: as the
+    data set says, else (0, 0).
+    """
     groups: dict[tuple[str, str], list[Pose]] = {}
     for pose in poses:
         groups.setdefault((pose.topic, pose.body), []).append(pose)
-    return groups
+    found = []
+    for (topic, body), group in groups.items():
+        centre = offset or (known.truth_offset_m.get(topic) if known else None) or (0.0, 0.0)
+        stamps = np.array([pose.stamp_ns for pose in group]) * 1e-9
+        rows = np.array([pose.xyyaw for pose in group]) * [scale, scale, 1.0]
+        told = group[0].extent if len(group[0].extent) == 2 else None
+        size = known.truth_extent_m.get(topic) if known and told is None else told
+        extent = None if size is None else scale * np.asarray(size, float)
+        name = topic if body in topic else f"{topic} {body}"
+        found.append(Body(name, truth_from_poses(stamps, rows, scale * np.asarray(centre, float)), extent))
+    return found
 
 
-def _extent(run: Run, told: Sequence[float] | Array | None) -> Array:
+def _extent(run: Run, told: Array | None) -> Array:
     """Length and width of a body [m]: as told, else as the settings say, else NaN."""
     if told is not None:
-        return np.asarray(told, float)
+        return told
     detect = run.settings.detect
     known = np.array([detect.body_length_m or np.nan, detect.body_width_m or np.nan])
     return known / run.settings.recording.scale
 
 
-def _estimates(run: Run) -> Estimates:
-    c = {name: run.tracks[name].to_numpy() for name in run.tracks.column_names}
+def _estimates(run: Run, lagged: bool) -> Estimates:
+    if lagged and run.lagged is None:
+        raise InputError(f"{run.folder}: no lagged tracks; want a run with observer.lag_scans above 0")
+    table = run.lagged if lagged else run.tracks
+    c = {name: table[name].to_numpy() for name in table.column_names}
     reverse = np.where(c["speed"] < 0.0, np.pi, 0.0)
     state = np.array([TrackState[name.upper()] for name in c["state"]], np.uint8)
     xy, v = np.column_stack([c["x"], c["y"]]), np.column_stack([c["vx"], c["vy"]])

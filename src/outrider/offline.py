@@ -47,7 +47,9 @@ def settle(
     tree: dict[str, Any] = msgspec.to_builtins(st.Settings())
     for layer in (recommended, _stated(given)):
         for section, values in layer.items():
+            gains = {**tree["observer"]["gains"], **values.get("gains", {})}
             tree[section] = {**tree[section], **values}
+            tree["observer"]["gains"] = gains  # a layer replaces those of the observers it names
     return st.override(msgspec.convert(tree, st.Settings), list(changes))
 
 

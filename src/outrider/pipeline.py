@@ -8,6 +8,7 @@ from outrider import alert as alerts
 from outrider.alert import AlertMemory
 from outrider.book import TrackMemory
 from outrider.detect import detect
+from outrider.lag import History, look_back
 from outrider.records import Frame, Scan
 from outrider.repair import restarts
 from outrider.settings import Settings
@@ -23,18 +24,19 @@ class Memory:
 
     tracks: TrackMemory
     alerts: AlertMemory
+    history: History
 
 
 def start(settings: Settings) -> Memory:
     """Memory before the first scan; InputError for an observer or gain that is not known."""
-    return Memory(no_tracks(settings), alerts.start())
+    return Memory(no_tracks(settings), alerts.start(), History())
 
 
 def restart(memory: Memory, settings: Settings) -> Memory:
     """Memory after clock or fixed frame became another: no track lives on, no identity is used twice."""
     nothing = no_tracks(settings)
     tracks = TrackMemory(nothing.book, memory.tracks.next_id, nothing.earlier)
-    return Memory(tracks, AlertMemory(memory.alerts.t, {}))
+    return Memory(tracks, AlertMemory(memory.alerts.t, {}), History())
 
 
 def step(memory: Memory, scan: Scan, settings: Settings, engine: Engine) -> tuple[Memory, Frame]:
@@ -50,4 +52,6 @@ def step(memory: Memory, scan: Scan, settings: Settings, engine: Engine) -> tupl
     threats = assess(tracks, scan.ego, settings.rider, settings.threat)
     trust = alerts.health(scan, memory.alerts.t, settings.alert)
     alerted, warning = alerts.alert(memory.alerts, threats, tracks, trust, settings.alert)
-    return Memory(tracked, alerted), Frame(scan.t, scan, detections, tracks, threats, warning)
+    history, before = look_back(memory.history, tracked.book, tracks, engine)
+    frame = Frame(scan.t, scan, detections, tracks, threats, warning, before)
+    return Memory(tracked, alerted, history), frame

@@ -201,3 +201,4 @@ class Frame:
     tracks: Tracks
     threats: Threats
     alert: Alert
+    lagged: Tracks | None = None  # some scans ago, as known now; None where that was not asked for

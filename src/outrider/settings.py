@@ -91,7 +91,8 @@ class Observer(Section, frozen=True):
     """Which observer, by name of its file in observers/, and gains that differ from its defaults."""
 
     name: str = "multi_stage"  # file in observers/
-    gains: dict[str, float] = {}  # gain by name, where it differs from the observer's default
+    gains: dict[str, dict[str, float]] = {}  # by observer: gain by name, where it differs from the default
+    lag_scans: int = 0  # also tell, this many scans late, what is known of the tracks by then; 0: do not
 
 
 class Threat(Section, frozen=True):

@@ -21,18 +21,39 @@ HEADING_FLOOR = 0.05  # a fitted heading is never trusted more than this [rad]
 
 @dataclass(frozen=True, slots=True)
 class Engine:
-    """A named observer made ready: its gains and its compiled loops."""
+    """A named observer made ready: its gains, its compiled loops, and how many scans it looks back."""
 
+    observer: Any
     gains: Any
     loops: Any
     n_states: int
+    lag: int
+
+    def tell(self, tracks: Tracks, states: Array, ahead: Array, rows: Ints) -> Tracks:
+        """The tracks, with what the states (n, n_states) say of `rows`, `ahead` (n,) [s] later."""
+        names = ("speed", "acceleration", "course", "yaw", "slip", "yaw_rate")
+        motion = np.column_stack([tracks.W_p, *(getattr(tracks, name) for name in names)])
+        cov = tracks.cov.copy()
+        if len(rows):
+            later = states.copy()
+            self.loops.predict_all(states, ahead, self.gains, rows, later)
+            self.loops.motion_all(later, self.gains, rows, motion)
+            half = observers.spreads(self.observer, later, self.gains, rows)[rows, :3]
+            sure = np.isfinite(half).all(axis=1)
+            cov[rows[sure]] = half[sure][:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+        _, _, *told = motion.T
+        columns: dict[str, Any] = dict(zip(names, told, strict=True))
+        return replace(tracks, W_p=motion[:, :2], cov=cov, **columns)
 
 
 def engine(settings: Settings) -> Engine:
-    """The observer that the settings name; InputError for an unknown name or gain."""
-    observer = observers.get(settings.observer.name)
-    gains = observers.gains_from(observer, settings.observer.gains)
-    return Engine(gains, observers.stream(observer), len(observer.State._fields))
+    """The observer that the settings name; InputError for an unknown name or gain, or a lag it has not."""
+    chosen = settings.observer
+    observer = observers.get(chosen.name)
+    known = {name: observers.gains_from(observers.get(name), g) for name, g in chosen.gains.items()}
+    gains = known.get(chosen.name, observer.Gains())
+    observers.check_lag(observer, chosen.lag_scans)
+    return Engine(observer, gains, observers.stream(observer), len(observer.State._fields), chosen.lag_scans)
 
 
 def start(settings: Settings) -> TrackMemory:
@@ -238,36 +259,28 @@ def _observe(book: Book, rows: Ints, previous: tuple[Array, Array], eng: Engine)
 
 def estimate(book: Book, t: float, settings: Settings, eng: Engine) -> Tracks:
     """All tracks at time t: the observer's motion where one runs, else the predictor's place at rest."""
-    n = len(book)
-    motion = np.zeros((n, 8))
     _, P = predictor.predict(
         book.x, book.P, book.ahead(t), _noise(book, settings), settings.track.yaw_acceleration_noise
     )
-    running = np.flatnonzero(book.observed)
-    if len(running):
-        ahead = book.obs.copy()
-        eng.loops.predict_all(book.obs, t - book.seen, eng.gains, running, ahead)
-        eng.loops.motion_all(ahead, eng.gains, running, motion)
-    rest = np.flatnonzero(~book.observed)
-    motion[rest, :2] = book.x[rest, :2]
-    motion[rest, 4] = motion[rest, 5] = wrap(book.x[rest, 4])
-    x_m, y_m, speed, acceleration, course, yaw, slip, yaw_rate = motion.T
-    return Tracks(
+    still, heading = np.zeros(len(book)), wrap(book.x[:, 4])
+    resting = Tracks(
         t=t,
         id=book.id,
         state=book.state,
-        W_p=np.column_stack([x_m, y_m]),
-        speed=speed,
-        acceleration=acceleration,
-        course=course,
-        yaw=yaw,
-        slip=slip,
-        yaw_rate=yaw_rate,
+        W_p=book.x[:, :2],
+        speed=still,
+        acceleration=still,
+        course=heading,
+        yaw=heading,
+        slip=still,
+        yaw_rate=still,
         extent=book.size[:, :2].copy(),
-        cov=P[:, :2, :2].copy(),
+        cov=P[:, :2, :2],
         hits=book.hits,
         age=t - book.born,
     )
+    running = np.flatnonzero(book.observed)
+    return eng.tell(resting, book.obs, t - book.seen, running)
 
 
 def _report(

@@ -1,6 +1,9 @@
 """`outrider evaluate`: a run folder against the truth."""
 
 from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
 
 from outrider.cli import show
 from outrider.errors import InputError
@@ -15,6 +18,7 @@ def evaluate(
     gate: float | None = None,
     skip: float = 1.0,
     until: float | None = None,
+    lagged: Annotated[bool, Parameter(negative=())] = False,
     json: show.Json = False,
 ) -> None:
     """Score a run against true poses: errors, breaks, switches, GOSPA, warning lead.
@@ -33,10 +37,12 @@ def evaluate(
         Seconds after the first scan that do not count.
     until
         Seconds after the first scan from which nothing counts.
+    lagged
+        Score what was known observer.lag_scans scans later instead.
     """
     from outrider.evaluate import evaluate as score
 
-    result = score(run, truth, _pair(offset), gate, skip, until)
+    result = score(run, truth, _pair(offset), gate, skip, until, lagged)
     if json:
         show.json(result.to_dict())
     else:

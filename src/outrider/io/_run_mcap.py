@@ -52,7 +52,7 @@ ALERT_SCHEMA: dict[str, Any] = {
 
 def track_rows(frame: Frame) -> dict[str, Any]:
     """The tracks as plain values, for plots against time."""
-    columns = track_columns(frame)
+    columns = {**track_columns(frame.tracks), "ttc": frame.threats.ttc}
     del columns["t"]
     values = zip(*(c.tolist() for c in columns.values()), strict=True)
     return {"t": float(frame.t), "tracks": [dict(zip(columns, row, strict=True)) for row in values]}

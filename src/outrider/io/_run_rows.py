@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from outrider.records import Alert, Frame, TrackState
+from outrider.records import Alert, Frame, Tracks, TrackState
 
 STATES = np.array([state.name.lower() for state in TrackState], dtype=object)
 
@@ -16,10 +16,22 @@ def in_recording_lengths(frame: Frame, scale: float) -> Frame:
     """The frame with every length that is reported divided by scale (full-size length / recorded length)."""
     if scale == 1.0:
         return frame
-    s, ego, tracks, threats = 1.0 / scale, frame.scan.ego, frame.tracks, frame.threats
+    s, ego, threats = 1.0 / scale, frame.scan.ego, frame.threats
     ego = replace(ego, W_pose=ego.W_pose * [s, s, 1.0], W_v=ego.W_v * s)
     scan = replace(frame.scan, W_p=frame.scan.W_p * s, ego=ego)
-    tracks = replace(
+    threats = replace(
+        threats,
+        closest_distance=threats.closest_distance * s,
+        required_deceleration=threats.required_deceleration * s,
+        closing_speed=threats.closing_speed * s,
+    )
+    lagged = None if frame.lagged is None else _resized(frame.lagged, s)
+    return replace(frame, scan=scan, tracks=_resized(frame.tracks, s), threats=threats, lagged=lagged)
+
+
+def _resized(tracks: Tracks, s: float) -> Tracks:
+    """The tracks with every length times s."""
+    return replace(
         tracks,
         W_p=tracks.W_p * s,
         speed=tracks.speed * s,
@@ -27,20 +39,12 @@ def in_recording_lengths(frame: Frame, scale: float) -> Frame:
         extent=tracks.extent * s,
         cov=tracks.cov * s**2,
     )
-    threats = replace(
-        threats,
-        closest_distance=threats.closest_distance * s,
-        required_deceleration=threats.required_deceleration * s,
-        closing_speed=threats.closing_speed * s,
-    )
-    return replace(frame, scan=scan, tracks=tracks, threats=threats)
 
 
-def track_columns(frame: Frame) -> dict[str, Any]:
-    """The rows of TRACKS that one frame gives: a column (n,) each, one row a track."""
-    tracks = frame.tracks
+def track_columns(tracks: Tracks) -> dict[str, Any]:
+    """The rows of LAGGED that some tracks give, and those of TRACKS but for `ttc`: a column (n,) each."""
     (x, y), (vx, vy), (length, width) = tracks.W_p.T, tracks.W_v.T, tracks.extent.T
-    columns = {"t": np.full(len(x), frame.t), "track_id": tracks.id, "x": x, "y": y, "vx": vx, "vy": vy}
+    columns = {"t": np.full(len(x), tracks.t), "track_id": tracks.id, "x": x, "y": y, "vx": vx, "vy": vy}
     for name in ("speed", "acceleration", "course", "yaw", "slip", "yaw_rate", "hits"):
         columns[name] = getattr(tracks, name)
     return {
@@ -48,7 +52,6 @@ def track_columns(frame: Frame) -> dict[str, Any]:
         "length": length,
         "width": width,
         "state": STATES[tracks.state],
-        "ttc": frame.threats.ttc,
     }
 
 

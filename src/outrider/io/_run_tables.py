@@ -34,10 +34,10 @@ def _schema(names: str) -> pa.Schema:
     )
 
 
+_MOTION = "t track_id x y vx vy speed acceleration course yaw slip yaw_rate length width state hits"
 SCHEMAS = {
-    "tracks": _schema(
-        "t track_id x y vx vy speed acceleration course yaw slip yaw_rate length width state hits ttc"
-    ),
+    "tracks": _schema(f"{_MOTION} ttc"),
+    "lagged": _schema(_MOTION),
     "scans": _schema(
         "t ego_x ego_y ego_vx ego_vy ego_yaw ego_yaw_rate ego_known beams valid detections tracks level"
     ),

@@ -29,9 +29,15 @@ FORMATS = ()  # a run folder is no recording
 OURS = (
     *("settings.toml", "summary.json", "alerts.jsonl", "run.mcap", "background.npz", "scene.png"),
     *("tracks.png", "tracks.arrows", "tracks.parquet", "scans.arrows", "scans.parquet"),
+    *("lagged.arrows", "lagged.parquet"),
 )
 CHUNK_S, CHUNK_SCANS = 1.0, 16  # what a killed process may lose
 BACKGROUND_S = 10.0  # between two saves of the background
+
+
+def _tables(settings: Settings) -> tuple[str, ...]:
+    """Names of the tables that a run under these settings keeps."""
+    return ("tracks", "scans", "lagged") if settings.observer.lag_scans else ("tracks", "scans")
 
 
 @contextmanager
@@ -106,10 +112,9 @@ class RunWriter:
         with _writing(folder), ExitStack() as stack:
             (folder / "settings.toml").write_text(dump(settings))
             self._summarise({})
-            self._tracks = ChunkedTable(folder, "tracks")
-            stack.callback(self._tracks.close)
-            self._scan_table = ChunkedTable(folder, "scans")
-            stack.callback(self._scan_table.close)
+            self._tables = {name: ChunkedTable(folder, name) for name in _tables(settings)}
+            for table in self._tables.values():
+                stack.callback(table.close)
             self._alert_file = stack.enter_context((folder / "alerts.jsonl").open("wb"))
             self._mcap_file = stack.enter_context((folder / "run.mcap").open("wb"))
             about = {k: str(v) for k, v in self._about.items() if k not in ("finished", "interrupted")}
@@ -134,8 +139,10 @@ class RunWriter:
         """Adds one frame, lengths of the full-size world; OutputError where it cannot be written."""
         frame = in_recording_lengths(frame, self._scale)
         with _writing(self.folder):
-            self._tracks.add(track_columns(frame))
-            self._scan_table.add(scan_columns(frame))
+            self._tables["tracks"].add({**track_columns(frame.tracks), "ttc": frame.threats.ttc})
+            self._tables["scans"].add(scan_columns(frame))
+            if frame.lagged is not None and "lagged" in self._tables:
+                self._tables["lagged"].add(track_columns(frame.lagged))
             self._count(frame)
             self._tell(frame)
             self._mcap.write(frame)
@@ -170,8 +177,8 @@ class RunWriter:
         self._alert_file.flush()
 
     def _flush(self, t: float) -> None:
-        self._tracks.flush()
-        self._scan_table.flush()
+        for table in self._tables.values():
+            table.flush()
         self._flushed, self._pending = t, 0
 
     def close(self, summary: dict[str, Any] | None = None, interrupted: bool = False) -> None:
@@ -187,8 +194,8 @@ class RunWriter:
                 self._background.save(self.folder / "background.npz")
             finally:
                 self._release()
-            seal(self.folder, "tracks")
-            seal(self.folder, "scans")
+            for name in self._tables:
+                seal(self.folder, name)
             self._summarise({**(summary or {}), "finished": True, "interrupted": interrupted})
 
     def _release(self) -> None:
@@ -236,6 +243,9 @@ class Run:
     tracks: Any  # pyarrow.Table, one row per track and scan
     scans: Any  # pyarrow.Table, one row per scan
     alerts: list[dict[str, Any]]  # one per change, in order of time
+    lagged: Any = (
+        None  # like tracks, without `ttc`, as known `observer.lag_scans` scans later; None: none kept
+    )
 
     def to_pandas(self) -> Any:
         """The tracks as a pandas DataFrame; needs pandas, `pip install outrider[pandas]`."""
@@ -267,13 +277,15 @@ def open_run(folder: Path | str) -> Run:
     summary: dict[str, Any] = {}
     with suppress(OSError, msgspec.DecodeError):
         summary = msgspec.json.decode((folder / "summary.json").read_bytes())
+    settings = load(folder / "settings.toml")
     return Run(
         folder=folder,
-        settings=load(folder / "settings.toml"),
+        settings=settings,
         summary=summary,
         tracks=read_table(folder, "tracks"),
         scans=read_table(folder, "scans"),
         alerts=_alert_lines(folder / "alerts.jsonl"),
+        lagged=read_table(folder, "lagged") if "lagged" in _tables(settings) else None,
     )
 
 
@@ -289,7 +301,7 @@ def finish(folder: Path | str) -> Run:
     if run.summary.get("finished"):
         return run
     with _writing(run.folder):
-        for name in ("tracks", "scans"):
+        for name in _tables(run.settings):
             if (run.folder / f"{name}.arrows").exists():
                 seal(run.folder, name)
         if (run.folder / "run.mcap").exists():

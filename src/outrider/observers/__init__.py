@@ -125,10 +125,16 @@ def gains_from(observer: Observer, values: Mapping[str, float]) -> Any:
     known = [name for name, value in gains._asdict().items() if isinstance(value, float)]
     for name, value in values.items():
         if name not in known:
-            raise InputError(f"observer.gains: {name!r} is not known{_nearest(name, known)}")
+            raise InputError(
+                f"observer.gains.{_name(observer)}: {name!r} is not known{_nearest(name, known)}"
+            )
         if not np.isfinite(value):
-            raise InputError(f"observer.gains: {name} = {value}; want a finite number")
+            raise InputError(f"observer.gains.{_name(observer)}: {name} = {value}; want a finite number")
     return gains._replace(**{name: float(value) for name, value in values.items()})
+
+
+def _name(observer: Any) -> str:
+    return str(observer.__name__).rpartition(".")[2]
 
 
 def _nearest(name: str, known: list[str]) -> str:
@@ -163,6 +169,15 @@ def batch(observer: Observer, measurements: Array, dt: Array, gains: Any) -> Arr
     return out
 
 
+def check_lag(observer: Any, lag: int) -> None:
+    """InputError for a lag [scans] that is negative, or of an observer that cannot smooth."""
+    if lag < 0:
+        raise InputError(f"lag = {lag} scans; want 0 or more")
+    if lag and not hasattr(observer, "smooth"):
+        able = [name for name in names() if hasattr(get(name), "smooth")]
+        raise InputError(f"lag = {lag} scans: this observer cannot look back; want one of {', '.join(able)}")
+
+
 def lagged(observer: Any, states: Array, dt: Array, lag: int, gains: Any) -> Array:
     """States (N, T, n_states) at each sample as known `lag` samples later, from what `batch` gave.
 
@@ -171,11 +186,7 @@ def lagged(observer: Any, states: Array, dt: Array, lag: int, gains: Any) -> Arr
     """
     from outrider import kernel
 
-    if not hasattr(observer, "smooth"):
-        able = [name for name in names() if hasattr(get(name), "smooth")]
-        raise InputError(f"this observer has no smoothing over a lag; want one of {', '.join(able)}")
-    if lag < 0:
-        raise InputError(f"lag = {lag} scans; want 0 or more")
+    check_lag(observer, lag)
     out = np.empty_like(states)
     run = kernel.lagged(observer.smooth, observer.State)
     run(np.ascontiguousarray(states), np.ascontiguousarray(dt, float), lag, gains, out)
@@ -190,12 +201,15 @@ def described(observer: Observer, states: Array, gains: Any) -> Array:
     return out
 
 
-def spreads(observer: Any, states: Array, gains: Any) -> Array:
-    """Covariances (n, 10) of states (n, n_states) as `Spread`; NaN where a state is, or there is none."""
+def spreads(observer: Any, states: Array, gains: Any, rows: npt.NDArray[np.int64] | None = None) -> Array:
+    """Covariances (n, 10) of states (n, n_states) as `Spread`; NaN where a state is, or there is none.
+
+    rows: only these; None: all.
+    """
     from outrider import kernel
 
     out = np.full((len(states), len(Spread._fields)), np.nan)
     if hasattr(observer, "spread"):
-        known = np.flatnonzero(np.isfinite(states).all(axis=1))
+        known = np.flatnonzero(np.isfinite(states).all(axis=1)) if rows is None else rows
         kernel.each(observer.spread, observer.State)(np.ascontiguousarray(states), gains, known, out)
     return out
