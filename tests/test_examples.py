@@ -57,6 +57,16 @@ def test_results_in_pandas(crossing):
     assert 3.5 < float(best[4]) < 5.5
 
 
+def test_compare_observers():
+    printed = run("compare_observers", "turning", "multi_stage,constant_velocity")
+    rows = [line for line in printed.splitlines() if re.match(r"\| (multi_stage|constant_velocity) ", line)]
+    assert len(rows) == 2
+    best = re.search(r"^best by J: (\w+), (\d+\.\d+) m/s$", printed, flags=re.M)
+    assert float(best[2]) < 1.0
+    (winner,) = [row for row in rows if row.startswith(f"| {best[1]} ")]
+    assert winner.split(" | ")[6].endswith("*")
+
+
 def test_the_settings_of_the_model_cars_are_those_of_the_data_set():
     given = settings.load(EXAMPLES / "model_car.toml")
     assert given == offline.settle(datasets.entry("datmo/overtakes").settings, None)

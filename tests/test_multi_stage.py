@@ -361,3 +361,14 @@ def test_heading_of_the_rectangle_improves_the_yaw() -> None:
     assert error[1] < 0.65 * error[0]
     y[..., 6] = np.inf
     np.testing.assert_array_equal(observe(y, dt, Gains(heading=30.0)), alone)
+
+
+@pytest.mark.parametrize("speed", [1.0, 5.0, 14.0])
+def test_the_designed_table_turns_with_the_car(speed: float) -> None:
+    """On a circle yaw, slip and speed are found with our own gains, each entry of the table in use."""
+    t = truth(speed, 0.0, lambda t: 0.2, 0.1, 400)
+    y = measured(t[:, :2], 0.0, np.random.default_rng(0))
+    s = observe(y, 0.1, multi_stage.DESIGNED._replace(heading=0.0))[0, -1]
+    assert s[1] == pytest.approx(speed, rel=0.02)
+    assert wrap(s[4] - t[-1, PSI]) == pytest.approx(0.0, abs=0.02 + 0.001 * speed)
+    assert s[5] == pytest.approx(t[-1, BETA], abs=0.02)

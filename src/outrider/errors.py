@@ -17,3 +17,9 @@ class OutputError(OutriderError):
     """A result that could not be written (permissions, disk full); what was written before stays readable."""
 
     exit_code = 2
+
+
+class NotCertified(OutriderError):
+    """A proof that does not hold, or could not be found; the message says why and what to relax."""
+
+    exit_code = 3

@@ -160,14 +160,14 @@ def bodies(
         groups.setdefault((pose.topic, pose.body), []).append(pose)
     found = []
     for (topic, body), group in groups.items():
-        centre = offset or (known.truth_offset_m.get(topic) if known else None) or (0.0, 0.0)
+        x, y = offset or (known.truth_offset_m.get(topic) if known else None) or (0.0, 0.0)
         stamps = np.array([pose.stamp_ns for pose in group]) * 1e-9
         rows = np.array([pose.xyyaw for pose in group]) * [scale, scale, 1.0]
         told = group[0].extent if len(group[0].extent) == 2 else None
         size = known.truth_extent_m.get(topic) if known and told is None else told
         extent = None if size is None else scale * np.asarray(size, float)
         name = topic if body in topic else f"{topic} {body}"
-        found.append(Body(name, truth_from_poses(stamps, rows, scale * np.asarray(centre, float)), extent))
+        found.append(Body(name, truth_from_poses(stamps, rows, (scale * x, scale * y)), extent))
     return found
 
 

@@ -12,8 +12,8 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Callable
-from functools import lru_cache
+from collections.abc import Callable, Iterator
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, cast
 
@@ -33,7 +33,8 @@ INNER = {
     "error_model": "numpy",
     "no_cpython_wrapper": True,
     "no_cfunc_wrapper": True,
-}  # no way in from Python
+    "forceinline": True,
+}  # no way in from Python, and no calls: sizes of matrices become constants
 KEEP_S = 30 * 86400.0  # an older version's cache not used for this long is removed [s]
 
 
@@ -42,11 +43,15 @@ def kernel(function: F) -> F:
     return cast(F, register_jitable(**INNER)(function))
 
 
-def compiled(function: F) -> F:
+def compiled(function: F, of: Any = None) -> F:
     """A loop over arrays, compiled at its first call, kept on disk; divides as NumPy does, no GIL.
 
-    No fast-math: NaN and infinity keep their meaning. `function.py_func` is the original.
+    No fast-math: NaN and infinity keep their meaning. `function.py_func` is the original. Where one loop is
+    compiled for several observers, `of` is the class of this one's state: each is kept in a file of its own,
+    so that none needs the others to be read.
     """
+    if of is not None:
+        function.__qualname__ += f".{of.__module__}"
     return cast(F, numba.njit(cache=True, error_model="numpy", nogil=True)(function))
 
 
@@ -118,7 +123,6 @@ def from_row(cls: Any, row: Any) -> Any:
     return cls(*(float(value) for value in row))
 
 
-@kernel
 def to_row(values: Any, row: Any) -> None:
     """Write a named tuple of numbers into a row (len(values),)."""
     for i, value in enumerate(values):
@@ -130,14 +134,7 @@ def _compiled_axpy(a, b, h):  # type: ignore[no-untyped-def]
     return eval(f"lambda a, b, h: cls({terms})", {"cls": a.instance_class})
 
 
-def _compiled_from_row(cls, row):  # type: ignore[no-untyped-def]
-    made = cls.instance_class
-    terms = ", ".join(f"row[{i}]" for i in range(len(made._fields)))
-    return eval(f"lambda cls, row: made({terms})", {"made": made})
-
-
 overload(axpy, jit_options=INNER)(_compiled_axpy)
-overload(from_row, jit_options=INNER)(_compiled_from_row)
 
 
 @kernel
@@ -155,6 +152,54 @@ def rk4(rhs: Any, s: Any, y: Any, dy: Any, c: Any, dt: Any, n: Any) -> Any:
         k4 = rhs(axpy(s, k3, h), axpy(y, dy, (i + 1) * h), c)
         s = axpy(axpy(axpy(axpy(s, k1, h / 6.0), k2, h / 3.0), k3, h / 3.0), k4, h / 6.0)
     return s
+
+
+# ------------------------------------------------------------------ rows of arrays
+
+# Plain loads and stores: indexing by a variable would pass the whole tuple through memory, once a number.
+
+
+@type_callable(from_row)
+def _type_of_from_row(context):  # type: ignore[no-untyped-def]
+    def typer(cls, row):  # type: ignore[no-untyped-def]
+        made = cls.instance_class
+        return numba.types.NamedUniTuple(row.dtype, len(made._fields), made)
+
+    return typer
+
+
+@type_callable(to_row)
+def _type_of_to_row(context):  # type: ignore[no-untyped-def]
+    return lambda values, row: numba.types.none
+
+
+def _places(context: Any, builder: Any, kind: Any, row: Any, n: int) -> Iterator[Any]:
+    """Pointers to the first n numbers of a one-dimensional array."""
+    array = make_array(kind)(context, builder, row)
+    stride = cgutils.unpack_tuple(builder, array.strides, 1)[0]
+    for i in range(n):
+        at = context.get_constant(numba.types.intp, i)
+        if kind.layout == "C":
+            yield builder.gep(array.data, [at])
+        else:
+            yield cgutils.pointer_add(builder, array.data, builder.mul(stride, at))
+
+
+@lower_builtin(from_row, numba.types.NamedTupleClass, numba.types.Array)
+def _make_from_row(context, builder, signature, args):  # type: ignore[no-untyped-def]
+    made, kind = signature.return_type, signature.args[1]
+    values = [builder.load(place) for place in _places(context, builder, kind, args[1], made.count)]
+    return context.make_tuple(builder, made, values)
+
+
+@lower_builtin(to_row, numba.types.BaseTuple, numba.types.Array)
+def _make_to_row(context, builder, signature, args):  # type: ignore[no-untyped-def]
+    kinds, kind = signature.args
+    values = cgutils.unpack_tuple(builder, args[0], len(kinds))
+    places = _places(context, builder, kind, args[1], len(kinds))
+    for value, of, place in zip(values, kinds, places, strict=True):
+        builder.store(context.cast(builder, value, of, kind.dtype), place)
+    return context.get_dummy_value()
 
 
 # ------------------------------------------------------------------ small matrices
@@ -220,7 +265,7 @@ class Stream(NamedTuple):
 def each(of: Any, State: Any) -> Any:
     """Compiled each_one(states (N, n_states), gains, index, out (N, m)): what `of(state, gains)` says."""
 
-    @compiled
+    @partial(compiled, of=State)
     def each_one(states, gains, index, out):  # type: ignore[no-untyped-def]
         for i in index:
             to_row(of(from_row(State, states[i]), gains), out[i])
@@ -232,20 +277,20 @@ def each(of: Any, State: Any) -> Any:
 def stream(start: Any, step: Any, predict: Any, motion: Any, State: Any, Measurement: Any) -> Stream:
     """Compiled loops over the rows of arrays, one call a scan, from four functions of one track."""
 
-    @compiled
+    @partial(compiled, of=State)
     def start_all(first, second, dt, gains, index, out):  # type: ignore[no-untyped-def]
         for i in index:
             y0, y1 = from_row(Measurement, first[i]), from_row(Measurement, second[i])
             to_row(start(y0, y1, dt[i], gains), out[i])
 
-    @compiled
+    @partial(compiled, of=State)
     def step_all(states, previous, measurement, dt, gains, index, out):  # type: ignore[no-untyped-def]
         for i in index:
             s = from_row(State, states[i])
             y0, y1 = from_row(Measurement, previous[i]), from_row(Measurement, measurement[i])
             to_row(step(s, y0, y1, dt[i], gains), out[i])
 
-    @compiled
+    @partial(compiled, of=State)
     def predict_all(states, dt, gains, index, out):  # type: ignore[no-untyped-def]
         for i in index:
             to_row(predict(from_row(State, states[i]), dt[i], gains), out[i])
@@ -261,7 +306,7 @@ def batch(start: Any, step: Any, State: Any, Measurement: Any) -> Any:
     samples without NaN in the first two columns; rows of `out` before are NaN.
     """
 
-    @compiled
+    @partial(compiled, of=State)
     def run(measurements, dt, gains, out):  # type: ignore[no-untyped-def]
         for i in range(measurements.shape[0]):
             started = False
@@ -286,7 +331,7 @@ def lagged(smooth: Any, State: Any) -> Any:
     either is not known.
     """
 
-    @compiled
+    @partial(compiled, of=State)
     def run(states, dt, lag, gains, out):  # type: ignore[no-untyped-def]
         out[:] = float("nan")
         for i in range(states.shape[0]):

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from cyclopts import App, CycloptsError
 
 from outrider import __version__
+from outrider.cli.compare import compare
 from outrider.cli.demo import demo
 from outrider.cli.evaluate import evaluate
 from outrider.cli.names import cite, ls
@@ -22,7 +23,7 @@ app = App(
     version=__version__,
     suppress_keyboard_interrupt=False,
 )
-for _command in (demo, track, info, convert, simulate, evaluate, ls, cite):
+for _command in (demo, track, info, convert, simulate, evaluate, compare, ls, cite):
     app.command(_command)
 app.register_install_completion_command()
 

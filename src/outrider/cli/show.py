@@ -4,12 +4,9 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from cyclopts import Parameter
-
-if TYPE_CHECKING:
-    from outrider.records import Frame
 
 WIDE = 140  # columns where stdout is no terminal
 
@@ -25,14 +22,16 @@ def json(value: Any) -> None:
     print(msgspec.json.format(text).decode())
 
 
-def table(rows: Sequence[Sequence[object]], head: Sequence[str] = (), title: str = "") -> None:
-    """Rows in columns; None is shown as a dash."""
+def table(
+    rows: Sequence[Sequence[object]], head: Sequence[str] = (), title: str = "", named: bool = False
+) -> None:
+    """Rows in columns; None is shown as a dash. named: the first column is a name, never broken."""
     from rich.console import Console
     from rich.table import Table
 
     grid = Table(title=title or None, title_justify="left", box=None, show_header=bool(head), pad_edge=False)
-    for name in head or [""] * max(map(len, rows), default=0):
-        grid.add_column(name, overflow="fold")
+    for i, name in enumerate(head or [""] * max(map(len, rows), default=0)):
+        grid.add_column(name, overflow="fold", no_wrap=named and i == 0)
     for row in rows:
         grid.add_row(*("-" if cell is None else str(cell) for cell in row))
     wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else WIDE
@@ -44,10 +43,10 @@ def table(rows: Sequence[Sequence[object]], head: Sequence[str] = (), title: str
 
 
 @contextmanager
-def progress(total: int | None, what: str) -> Iterator["Callable[[Frame], None]"]:
+def progress(total: int | None, what: str, unit: str = "scans") -> Iterator[Callable[[Any], None]]:
     """A function to call with every frame; rate and remaining time on stderr where that is a terminal."""
     if not sys.stderr.isatty():
-        yield lambda frame: None
+        yield lambda done: None
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -62,9 +61,9 @@ def progress(total: int | None, what: str) -> Iterator["Callable[[Frame], None]"
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=total, rate="")
 
-        def advance(frame: "Frame") -> None:
+        def advance(done: Any) -> None:
             speed = bar.tasks[task].speed
-            bar.update(task, advance=1, rate=f"{speed:.0f} scans/s" if speed else "")
+            bar.update(task, advance=1, rate=f"{speed:.1f} {unit}/s" if speed else "")
 
         yield advance
 

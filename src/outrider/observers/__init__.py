@@ -7,7 +7,8 @@ Fixed frame W, lengths of the full-size world, angles counter-clockwise.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 from importlib import import_module
 from pkgutil import iter_modules
 from typing import Any, NamedTuple, Protocol, cast
@@ -135,6 +136,67 @@ def gains_from(observer: Observer, values: Mapping[str, float]) -> Any:
 
 def _name(observer: Any) -> str:
     return str(observer.__name__).rpartition(".")[2]
+
+
+class Variant(NamedTuple):
+    """An observer with the gains and the lag that were asked for by name."""
+
+    label: str  # as asked for
+    observer: Any
+    gains: Any
+    lag: int  # [scans]
+
+
+def gain_sets(observer: Any) -> dict[str, Any]:
+    """Gains that an observer's file names besides its defaults, by name in lower case, such as `designed`."""
+    found = {name.lower(): value for name, value in vars(observer).items() if name.isupper()}
+    return {name: value for name, value in found.items() if isinstance(value, observer.Gains)}
+
+
+def variant(text: str, changes: Mapping[str, Mapping[str, float]] | None = None) -> Variant:
+    """The observer that `NAME`, `NAME:SET`, `NAME+lagN` or `NAME:SET+lagN` asks for.
+
+    SET: one of `gain_sets`, or `default`. Without it, the defaults with what `changes` states of NAME.
+    InputError for what is not known, with the nearest names.
+    """
+    parts = re.fullmatch(r"([^:+]*)(?::([^:+]*))?(?:\+lag(\d{1,4}))?", text.strip().lower())
+    if parts is None:
+        raise InputError(f"observer {text!r}: want NAME, NAME:GAINS, NAME+lagN or NAME:GAINS+lagN")
+    name, chosen, lag = parts[1], parts[2], int(parts[3] or 0)
+    observer: Any = get(name)
+    sets = {"default": observer.Gains(), **gain_sets(observer)}
+    if chosen is None:
+        gains = gains_from(observer, (changes or {}).get(name, {}))
+    elif chosen in sets:
+        gains = sets[chosen]
+    else:
+        raise InputError(f"observer {name}: no gains {chosen!r}{_nearest(chosen, list(sets))}")
+    check_lag(observer, lag)
+    return Variant(text.strip().lower(), observer, gains, lag)
+
+
+def variants(text: str, changes: Mapping[str, Mapping[str, float]] | None = None) -> list[Variant]:
+    """The variants of a list with commas, each once; `all`: every observer with all its gains.
+
+    `all` also looks two scans back with those that can. InputError as of `variant`.
+    """
+    labels: list[str] = []
+    for part in text.split(","):
+        labels += list(_every(changes or {})) if part.strip().lower() == "all" else [part.strip().lower()]
+    return [variant(label, changes) for label in dict.fromkeys(labels)]
+
+
+def _every(changes: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
+    for name in names():
+        observer: Any = get(name)
+        yield name
+        used = [gains_from(observer, changes.get(name, {}))]
+        for chosen, gains in {"default": observer.Gains(), **gain_sets(observer)}.items():
+            if gains not in used:
+                used.append(gains)
+                yield f"{name}:{chosen}"
+        if hasattr(observer, "smooth"):
+            yield f"{name}+lag2"
 
 
 def _nearest(name: str, known: list[str]) -> str:

@@ -1,7 +1,7 @@
 """Multi-stage observer: speed, orientation and position in cascade, driven by the way from sample to sample.
 
 Alai & Rajamani 2023 in continuous time, integrated from sample to sample along the line between them.
-What differs from the paper, and why, is in docs/observers.md.
+What differs from the paper, and why, is in docs/observers/multi_stage.md.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from math import atan2, ceil, cos, exp, hypot, inf, log1p, pi, sin
 from typing import NamedTuple
 
+from outrider.certificate import Certificate
 from outrider.kernel import kernel, rk4, wrap
 from outrider.observers import Innovation, Measurement, Motion
 from outrider.observers._measured import directed, heading_or, pointed, seen
@@ -28,6 +29,14 @@ L_PSI = (  # L_z(1) [1/s]
 L_BETA = (  # L_z(2) [1/s]
     0.25, 0.27, 0.30, 0.33, 0.37, 0.50, 0.70, 0.99, 1.17, 0.66, 0.68,
     0.71, 0.74, 0.77, 0.79, 0.82, 0.85, 0.88, 0.89, 0.91, 0.92,
+)
+OUR_PSI = (  # the same from our own inequalities, all entries by one proof: docs/proofs.md [1/s]
+    0.9325, 1.075, 1.231, 1.487, 1.766, 2.045, 2.323, 2.602, 2.88, 3.159, 3.437,
+    3.715, 3.993, 4.271, 4.549, 4.827, 5.105, 5.383, 5.661, 5.939, 6.243,
+)
+OUR_BETA = (  # [1/s]
+    0.3402, 0.386, 0.3861, 0.4269, 0.4636, 0.505, 0.549, 0.5946, 0.6416, 0.6895, 0.738,
+    0.7869, 0.8363, 0.8861, 0.9362, 0.9866, 1.037, 1.088, 1.14, 1.192, 1.288,
 )
 # fmt: on
 
@@ -64,12 +73,16 @@ class Gains(NamedTuple):
     L_w: float = 20.0  # position observer, eq. 77 [1/s]
     l_r: float = 2.0  # body centre to rear axle, eq. 10 [m]
     speed: float = 1.0  # the poles of the speed observer times this [-]
-    orientation: float = 1.0  # both columns of Table I times this [-]
+    orientation: float = 1.0  # both columns of the table times this [-]
     heading: float = 30.0  # correction of the yaw by the rectangle's heading; 0: as published [1/s]
     noise: float = 0.02  # least standard deviation of a measured position [m]
     gate: float = 2.0  # a way shorter than this many standard deviations has no direction [-]
     coast: float = 1.0  # time constant with which the acceleration fades while nothing is measured [s]
     reverse: float = 4.0  # what reverses faster is turned round, unless `heading` is used [m/s]
+    table: float = 0.0  # orientation gains: 0 those of Table I, 1 our own [-]
+
+
+DESIGNED = Gains(14.07, 59.01, 99.36, 61.62, L_w=19.56, table=1.0)
 
 
 class Output(NamedTuple):
@@ -193,19 +206,24 @@ def innovation(state: State, measurement: Measurement, gains: Gains) -> Innovati
     return Innovation(y.x - state.x, y.y - state.y, xx, 2.0 * y.xy, yy)
 
 
-def certificate() -> None:
-    """None: no proof is kept for the observer as it runs here."""
+def certificate(gains: Gains = Gains()) -> Certificate:  # noqa: B008
+    """Proof that the whole cascade is stable with the default gains, or with DESIGNED, table switched."""
+    from outrider.observers import _cascade
+
+    return _cascade.certificate(gains)
 
 
 @kernel
 def _coefficients(
     state: State, measurement: Measurement, moved: bool, clear: bool, gains: Gains
 ) -> Coefficients:
-    """Gains of this sample: Table I at the nearest nominal speed, mirrored when reversing."""
+    """Gains of this sample: the table at the nearest nominal speed, mirrored when reversing."""
     i = 0
     while i + 1 < len(NOMINAL) and abs(NOMINAL[i + 1] - abs(state.V)) < abs(NOMINAL[i] - abs(state.V)):
         i += 1
     L_psi, L_beta = gains.orientation * L_PSI[i], gains.orientation * L_BETA[i]
+    if gains.table > 0.5:
+        L_psi, L_beta = gains.orientation * OUR_PSI[i], gains.orientation * OUR_BETA[i]
     if state.V < 0.0:  # the same poles as forward, where the published signs would be unstable
         L_psi, L_beta = L_psi + 2.0 * L_beta, -L_beta
     if not clear:

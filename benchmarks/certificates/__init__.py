@@ -1,0 +1,1 @@
+"""Gains and proofs of the package, made anew."""

@@ -1,0 +1,384 @@
+"""Gains from inequalities: the papers' figures put right, refusals that say why, and designs that hold."""
+
+import re
+import sys
+from math import radians, sqrt
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from benchmarks.certificates import design_gains
+
+from outrider import design, family, inequalities
+from outrider.certificate import Certificate
+from outrider.errors import InputError, NotCertified
+from outrider.observers import multi_stage
+from outrider.observers.multi_stage import L_BETA, L_PSI, NOMINAL
+
+PUBLISHED_SPEED = [4.61, 12.24, 9.83, 4.16]
+PUBLISHED_HIGH_GAIN = [67.20, 823.1, 2818.5]
+
+
+def entry(V: float) -> np.ndarray:
+    """Column (2, 1) of Table I."""
+    i = NOMINAL.index(V)
+    return np.array([[L_PSI[i]], [L_BETA[i]]])
+
+
+# ---------------------------------------------------------------- one expression, two libraries
+
+
+def test_an_inequality_is_the_same_in_numpy_and_in_cvxpy() -> None:
+    import cvxpy as cp
+
+    rng = np.random.default_rng(3)
+    P, Y, m = np.eye(2) + 0.1, rng.normal(size=(2, 1)), np.array([2.0, 3.0])
+    for tight in (False, True):
+        plain = inequalities.orientation(P, Y, m, 1.3, 5.0, tight=tight)
+        unknown = [cp.Variable(P.shape, symmetric=True), cp.Variable((2, 1)), cp.Variable(2), cp.Variable()]
+        for u, v in zip(unknown, (P, Y, m, 1.3), strict=True):
+            u.value = v
+        there = inequalities.orientation(*unknown, 5.0, tight=tight)
+        np.testing.assert_allclose(there.value, plain, atol=1e-12)
+        np.testing.assert_allclose(plain, plain.T, atol=1e-12)
+
+
+def test_the_printed_orientation_inequality_is_the_one_in_the_paper() -> None:
+    """[MS 58] block by block, corrected, with M2, M3, M4 as they are written there."""
+    P, Y, V, l = np.array([[2.0, 0.3], [0.3, 1.0]]), np.array([[0.7], [0.2]]), 5.0, 2.0
+    G, H, e1, e2, mu = np.array([[1.0], [0.0]]), np.array([[1.0, 1.0]]), 4.0, 0.5, 1.1
+    zero = np.zeros((1, 1))
+    left = np.block(
+        [
+            [-(Y @ H + H.T @ Y.T), P @ G * V / l, P @ G, -Y],
+            [(P @ G).T * V / l, zero, zero, zero],
+            [(P @ G).T, zero, zero, zero],
+            [-Y.T, zero, zero, zero],
+        ]
+    )
+    b = np.array([[0.0], [1.0]])
+
+    def sector(square: float, cross: float) -> np.ndarray:
+        M = np.zeros((5, 5))
+        M[:3, :3] = np.block([[square * b @ b.T, -cross * b], [-cross * b.T, np.ones((1, 1))]])
+        return M
+
+    right = e1 * sector(0.88, 1.0) - e2 * sector(1.0, 0.94) + np.diag([-1.0, -1.0, 0.0, 36 * mu, mu])
+    made = inequalities.orientation(P, Y, np.array([e1, e2]), mu, V, l, tight=False)
+    np.testing.assert_allclose(made, left - right, atol=1e-12)
+
+
+# ---------------------------------------------------------------- the papers' figures
+
+
+def test_the_gain_printed_for_the_companion_form_is_unstable() -> None:
+    """E1: [HG 87]; the published L over powers of theta is what is stable."""
+    K = np.array([[11.73, 20.25, -7.3]]).T
+    assert np.linalg.eigvals(family.chain(3) - K @ np.eye(1, 3)).real.max() == pytest.approx(0.305, abs=1e-3)
+    theta = 6.7205
+    scaled = np.array(PUBLISHED_HIGH_GAIN) / theta ** np.arange(1, 4)
+    assert scaled == pytest.approx([10.00, 18.22, 9.286], abs=5e-3)
+    for region in ((5.0, 0.0, 0.0), (2.0, 1.0, 1.9)):
+        with pytest.raises(NotCertified, match=r"no proof can exist: .* eigenvalue \+[2-9]\."):
+            design.high_gain(*region, rate=0.0, gain=[78.83, 914.6, -2215.8])
+
+
+def test_the_least_theta_is_not_the_printed_one() -> None:
+    """E2: 2 k_f lambda_max / lambda."""
+    k_f, largest, slack, theta = 1.25, 26.5, 10.0, 6.7205
+    assert 2.0 * k_f * largest / slack == pytest.approx(6.625)
+    assert theta * slack / (2.0 * k_f) == pytest.approx(26.88, abs=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("speed", "acceleration", "yaw_rate"), [(2.0, 1.0, 1.9), (5.0, 3.0, 1.7), (1.0, 1.0, 0.7)]
+)
+def test_the_published_high_gain_is_proven_where_it_was_said_to_be(
+    speed: float, acceleration: float, yaw_rate: float
+) -> None:
+    """E3: regions of 1.9, 1.7 and 0.7 rad/s, with the velocity frame's corners."""
+    made = design.high_gain(speed, acceleration, yaw_rate, rate=0.0, gain=PUBLISHED_HIGH_GAIN)
+    assert made.certificate.margin() > 1e-3
+
+
+def test_a_box_of_independent_entries_proves_exactly_the_smaller_regions() -> None:
+    """E3: with k, r, k^2, k r, r^2 free of each other the limits are 1.9, 1.7, 0.7 rad/s on a grid of 0.2."""
+    from itertools import product
+
+    def proven(speed: float, acceleration: float, K: float) -> bool:
+        R = acceleration / speed
+        corners = product((-K, K), (-R, R), (0.0, K * K), (-K * R, K * R), (0.0, R * R))
+        F = np.array([family._companion(*c) for c in corners])
+        A = family.Family(family._closed(F, PUBLISHED_HIGH_GAIN), ("corner",) * len(F))
+        try:
+            proof, _ = design.prove("box", A, 0.0, blocks=[[range(3), range(3, 6)]], region={})
+        except NotCertified:
+            return False
+        return proof.proven()
+
+    for speed, acceleration, K in ((2.0, 1.0, 1.9), (5.0, 3.0, 1.7), (1.0, 1.0, 0.7)):
+        assert proven(speed, acceleration, K)
+        assert not proven(speed, acceleration, K + 0.2)
+
+
+@pytest.mark.parametrize(("speed", "acceleration"), [(2.0, 3.0), (0.5, 1.0)])
+def test_beyond_the_frozen_limit_the_refusal_names_the_eigenvalue(speed: float, acceleration: float) -> None:
+    """E3: beyond 1.27 1/s of acceleration over speed a frozen error matrix is unstable."""
+    with pytest.raises(
+        NotCertified, match=r"no proof can exist: at course rate .* eigenvalue \+[0-9.]+, want"
+    ):
+        design.high_gain(speed, acceleration, 0.5, rate=0.0, gain=PUBLISHED_HIGH_GAIN)
+    L1, L2, L3 = PUBLISHED_HIGH_GAIN
+
+    def pace(r: float) -> float:
+        return float(
+            np.linalg.eigvals(family.frozen_high_gain([L1, L2, L3], 1.0, r, 0.0).matrices).real.max()
+        )
+
+    limit = (3.0 * L2 - sqrt(9.0 * L2**2 - 12.0 * L1 * L3)) / (6.0 * L1)
+    assert limit == pytest.approx(1.27, abs=5e-3)
+    assert pace(0.99 * limit) < 0.0 < pace(1.01 * limit)
+
+
+def test_the_companion_form_lies_between_its_corners() -> None:
+    """Bernstein: every state's Jacobian is a convex combination of the 16 control points."""
+    from scipy.optimize import linprog
+
+    F, corners = family.companion(2.0, 3.0, 1.2)
+    assert len(corners) == 16
+    rng = np.random.default_rng(0)
+    for k, r in [(1.2, 1.5), (-1.2, 0.75), (0.0, 0.0), *rng.uniform(-1, 1, (40, 2)) * [1.2, 1.5]]:
+        target = family._companion(k, r, k * k, k * r, r * r)
+        rows = np.vstack([F.reshape(16, -1).T, np.ones(16)])
+        found = linprog(np.zeros(16), A_eq=rows, b_eq=np.r_[target.ravel(), 1.0])
+        assert found.status == 0, (k, r)
+
+
+def test_the_companion_form_is_the_jacobian_of_the_model() -> None:
+    """[HG 56-58] differentiated numerically, in the frame of the velocity."""
+
+    def f(z: np.ndarray) -> np.ndarray:
+        c = (z[5] * z[1] - z[2] * z[4]) / (z[1] ** 2 + z[4] ** 2)
+        return np.array([-3 * z[5] * c + 2 * z[1] * c**2, 3 * z[2] * c + 2 * z[4] * c**2])
+
+    V, a, k = 4.0, 2.0, 0.6
+    z = np.array([0.0, V, a, 0.0, 0.0, V * k])
+    J = np.column_stack([(f(z + h) - f(z - h)) / 2e-6 for h in 1e-6 * np.eye(6)])
+    made = family._companion(k, a / V, k**2, k * a / V, (a / V) ** 2)
+    np.testing.assert_allclose(made[[2, 5]], J, atol=1e-6)
+
+
+@pytest.mark.parametrize(("V", "mu"), [(1.0, 1.32), (5.0, 1.03), (8.0, 1.015), (10.0, 1.03), (20.0, 1.03)])
+def test_the_gains_of_table_1_are_feasible(V: float, mu: float) -> None:
+    """E5: with the corrected signs and l_r."""
+
+    def printed(P: Any, m: Any, mu: Any) -> Any:
+        return inequalities.orientation(P, P @ entry(V), m, mu, V, tight=False)
+
+    assert design.smallest(printed, 2, 2) == pytest.approx(mu, abs=6e-3)
+
+
+def test_the_sector_condition_is_tighter() -> None:
+    """E6: at l = 4 m and 1 m/s from 2.69 to 1.71; and the sector's corners say the same."""
+    import cvxpy as cp
+
+    found = {}
+    for tight in (False, True):
+        Y = cp.Variable((2, 1))
+
+        def condition(P: Any, m: Any, mu: Any, Y: Any = Y, tight: bool = tight) -> Any:
+            return inequalities.orientation(P, Y, m, mu, 1.0, 4.0, tight)
+
+        found[tight] = design.smallest(condition, 2, 2)
+    assert found == pytest.approx({False: 2.69, True: 1.71}, abs=6e-3)
+    Y = cp.Variable((2, 1))
+
+    def corners(P: Any, m: Any, mu: Any) -> Any:
+        G, H, C = np.eye(2, 1), np.ones((1, 2)), np.eye(2)
+        F = family.orientation(1.0, 1.0, l_r=4.0)
+        return [inequalities.estimate(A, H, G, C, P, Y, mu, weight=36.0) for A in F]
+
+    assert design.smallest(corners, 2) == pytest.approx(found[True], rel=1e-3)
+
+
+def test_the_published_speed_gain_bounds_energies_and_instants() -> None:
+    """E8: mu_s, H-infinity norm, peak-to-peak exact and by ellipsoid."""
+    L = np.array(PUBLISHED_SPEED)[:, None]
+    mu = design.smallest(lambda P, m, mu: inequalities.speed(P, P @ L, mu), 4)
+    assert mu == pytest.approx(18.86, abs=5e-3)
+    made = design.certify_speed(PUBLISHED_SPEED, 0.3)
+    assert made.certificate.proven()
+    speed, acceleration, energy = made.certificate.bounds
+    assert (speed.gain, acceleration.gain) == pytest.approx((4.69, 4.22), abs=5e-3)
+    assert energy.gain == pytest.approx(4.343, rel=0.012)  # stated 1 % above, for the margin
+    A, C = family.chain(4) - L @ np.eye(1, 4), np.eye(4)
+    w = np.geomspace(0.05, 20.0, 4000)
+    response = [np.linalg.norm(C[1:3] @ np.linalg.solve(1j * x * C - A, -L)) for x in w]
+    assert max(response) == pytest.approx(4.343, abs=1e-3)
+    assert sqrt(mu) == pytest.approx(max(response), abs=1e-3)
+    for row, gain in ((1, 5.71), (2, 4.99)):
+        bound = design.bound("x", "path", A[None], -L[None], C[row : row + 1])
+        assert bound.gain == pytest.approx(gain, rel=0.015)
+
+
+@pytest.mark.parametrize("l", [2.0, 20.0])
+def test_the_position_inequality_has_a_closed_form(l: float) -> None:
+    """[MS 70]: the smallest mu of L = l I is 1 + 1 / l^2."""
+    mu = design.smallest(lambda P, m, mu: inequalities.position(P, P @ (l * np.eye(2)), mu), 2)
+    assert mu == pytest.approx(1.0 + 1.0 / l**2, abs=1e-4)
+
+
+def test_with_nothing_that_bounds_it_the_gain_runs_away() -> None:
+    """E7: [HG 76] with lambda = 10 and P < 30 I leaves P free to shrink; a bound on the gain stops it."""
+    import cvxpy as cp
+
+    def gain(*more: Any) -> np.ndarray:
+        P, Y = cp.Variable((3, 3), symmetric=True), cp.Variable((3, 1))
+        bounds = [condition(P, Y) for condition in more]
+        conditions = [inequalities.high_gain(P, Y, 10.0) << 0, P << 30.0 * np.eye(3), P >> 1e-6 * np.eye(3)]
+        cp.Problem(cp.Minimize(cp.lambda_max(P)), conditions + bounds).solve(solver="CLARABEL")
+        assert np.linalg.eigvalsh(inequalities.high_gain(P.value, Y.value, 10.0)).max() < 1e-4
+        return np.asarray(np.linalg.solve(P.value, Y.value))
+
+    assert np.linalg.norm(gain()) > 1e4
+    K = gain(lambda P, Y: inequalities.gain_within(P, Y, 400.0) << 0, lambda P, Y: P >> np.eye(3))
+    assert np.linalg.norm(K) < 20.0 + 1e-3
+    assert np.linalg.eigvals(family.chain(3) - K @ np.eye(1, 3)).real.max() < -0.1
+
+
+@pytest.mark.parametrize("V", [2.0, 10.0, 20.0])
+def test_one_window_of_150_degrees_has_a_gain(V: float) -> None:
+    """Theory of the constant-velocity observer: window 75 deg at 0.5 1/s; and with the frame turning too."""
+    for turning in (0.0, 0.5):
+        made = design.constant_velocity([V], radians(75.0), turning, rate=0.5, fastest=60.0)
+        assert made.certificate.margin() > 1e-5
+        assert np.abs(made.gain).max() < 500.0
+        assert made.gain[1:, 0] == pytest.approx(0.0)
+
+
+def test_the_table_may_be_switched_at_will() -> None:
+    """E11: one P for all entries of Table I, in the paper's own model of the orientation."""
+    proof = design.certify_table(family.Table(NOMINAL, L_PSI, L_BETA), 0.05)
+    assert proof.margin() > 1e-2
+
+
+# ---------------------------------------------------------------- designs
+
+
+def test_no_pole_leaves_the_region_it_was_given() -> None:
+    made = design.speed(0.8, 6.0)
+    poles = np.roots([1.0, *made.gain])
+    assert poles.real.max() < -0.8
+    assert np.abs(poles).max() < 6.0
+    assert made.certificate.proven()
+    assert made.solved.solver == "CLARABEL"
+    assert "gain [" in str(made)
+
+
+def test_the_bound_on_the_gain_is_one() -> None:
+    """L'PL <= bound2 with P >= I: the spectral norm of L stays below."""
+    import cvxpy as cp
+
+    P, Y = cp.Variable((4, 4), symmetric=True), cp.Variable((4, 1))
+    H = np.eye(1, 4)
+    conditions = [
+        inequalities.unknown_gain(family.chain(4), H, P, Y, 0.2) << 0,
+        inequalities.gain_within(P, Y, 400.0) << 0,
+        P >> np.eye(4),
+    ]
+    cp.Problem(cp.Minimize(cp.trace(P)), conditions).solve(solver="CLARABEL")
+    L = np.linalg.solve(P.value, Y.value)
+    assert np.linalg.norm(L) <= 20.0 + 1e-6
+    assert np.linalg.eigvals(family.chain(4) - L @ H).real.max() <= -0.2 + 1e-6
+
+
+def test_a_sampled_gain_can_be_had_the_same_way() -> None:
+    """Position and speed at 10 Hz: errors shrink by 0.7 a scan."""
+    import cvxpy as cp
+
+    F, H = np.array([[1.0, 0.1], [0.0, 1.0]]), np.eye(1, 2)
+    P, Y = cp.Variable((2, 2), symmetric=True), cp.Variable((2, 1))
+    M = inequalities.unknown_sampled_gain(F, H, P, Y, 0.7)
+    cp.Problem(cp.Minimize(cp.trace(P)), [M << -1e-3 * np.eye(4), P >> np.eye(2)]).solve(solver="CLARABEL")
+    A = F - np.linalg.solve(P.value, Y.value) @ H @ F
+    assert np.abs(np.linalg.eigvals(A)).max() < 0.7
+    made = family.Family(A[None], ("the matrix",))
+    proof, _ = design.prove("sampled", made, 0.75, form="sampled", region={})
+    assert proof.proven()
+    assert design.exact("position", "position", A, np.eye(2, 1), H, "sampled").gain > 0.0
+    for kind in ("peak", "energy"):
+        bound = design.bound(
+            "position", "position", A[None], np.eye(2, 1)[None], H, kind=kind, form="sampled"
+        )
+        assert bound.margin("sampled") > 0.0
+
+
+def test_the_cascade_is_searched_anew() -> None:
+    """What the search finds makes the same claims as what is shipped."""
+    proof = design.multi_stage(multi_stage.Gains(heading=0.0))
+    assert isinstance(proof, Certificate)
+    assert proof.margin() > 1e-4
+    assert proof.assumptions == multi_stage.certificate().assumptions
+
+
+@pytest.mark.parametrize("make", design_gains.SHIPPED, ids=lambda make: make.__name__)
+def test_shipped_gains_come_out_again(make: Any) -> None:
+    assert design_gains.compare(make) < design_gains.TOLERANCE
+
+
+def test_the_page_on_proofs_runs() -> None:
+    """All its Python, from top to bottom, and the report it shows."""
+    page = (Path(__file__).parents[1] / "docs" / "proofs.md").read_text()
+    names: dict[str, Any] = {}
+    for block in re.findall(r"```python\n(.*?)```", page, flags=re.S):
+        exec(block, names)
+    assert names["made"].gain == pytest.approx([14.07, 59.01, 99.36, 61.62], rel=0.01)
+    shown = re.search(r"^    multi_stage: proven.*?^    +\.\.\.", page, flags=re.S | re.M)
+    assert shown
+    lines = [line.strip() for line in shown[0].splitlines()[:-1]]
+    report = [line.strip() for line in str(multi_stage.certificate()).splitlines()]
+    assert lines == report[: len(lines)]
+
+
+def test_the_regions_on_the_page_on_proofs_are_the_largest() -> None:
+    """E3: on a grid of 0.2 rad/s, with the 16 corners."""
+    for speed, acceleration, K in ((2.0, 1.0, 2.3), (5.0, 3.0, 2.1), (1.0, 1.0, 1.3)):
+        design.high_gain(speed, acceleration, K, rate=0.0, gain=PUBLISHED_HIGH_GAIN)
+        with pytest.raises(NotCertified):
+            design.high_gain(speed, acceleration, K + 0.2, rate=0.0, gain=PUBLISHED_HIGH_GAIN)
+
+
+# ---------------------------------------------------------------- refusals
+
+
+def test_what_cannot_be_proven_is_refused_with_what_to_relax() -> None:
+    with pytest.raises(NotCertified, match="lower the rate, raise `fastest`, or narrow the region") as caught:
+        design.high_gain(2.0, 3.0, 1.0)
+    assert caught.value.exit_code == 3
+    with pytest.raises(NotCertified, match=r"checked margin .*narrow the region or lower the rate"):
+        design.high_gain(5.0, 3.0, 3.0, rate=0.0, gain=PUBLISHED_HIGH_GAIN)
+    with pytest.raises(InputError, match="want 0 <= rate < fastest"):
+        design.speed(5.0, 4.0)
+    growing = family.Family(np.array([[[1.0]]]), ("rest",))
+    with pytest.raises(NotCertified, match=r"at rest the frozen .* eigenvalue \+1, .*real part below 0"):
+        design.prove("made", growing, 0.0, region={})
+    with pytest.raises(NotCertified, match="no bound exists"):
+        design.exact("x", "d", np.eye(2), np.eye(2, 1), np.eye(1, 2))
+    with pytest.raises(NotCertified, match="no bound exists"):
+        design.bound("x", "d", np.eye(2)[None], np.eye(2, 1)[None], np.eye(1, 2))
+
+
+def test_without_cvxpy_the_refusal_says_how_to_have_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "cvxpy", None)
+    with pytest.raises(InputError, match=r"outrider\[design\]"):
+        design.speed()
+    assert multi_stage.certificate().proven()
+
+
+@pytest.mark.parametrize("arguments", [(0.0, 1.0, 1.0), (-1.0, 1.0, 1.0), (float("nan"), 1.0, 1.0)])
+def test_a_region_through_standstill_is_refused(arguments: tuple[float, float, float]) -> None:
+    with pytest.raises(InputError, match="want a speed above 0"):
+        design.high_gain(*arguments)
+    with pytest.raises(InputError, match="finite"):
+        design.high_gain(5.0, 1.0, 1.0, gain=[1.0, float("inf"), 1.0])
