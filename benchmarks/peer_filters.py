@@ -1,76 +1,43 @@
-"""One step of a filter as FilterPy and Stone Soup do it: irregular time steps, a measured position each.
+"""One step of a filter as FilterPy and Stone Soup do it, on irregular time steps.
 
-`filterpy(kind)` and `stonesoup(kind)` give work(), which predicts and corrects once. The kind is that of our
-observer where the library has it with the same model; else a constant-acceleration Kalman filter. Models are
-written as fast as plain Python allows, Jacobians are given, so that the library's own cost is what is seen.
+`filterpy(kind)` and `stonesoup(kind)` give what it is and work(), which predicts and corrects once. The kind is
+our observer's where the library has it, with the model of the accuracy benchmark; else a Kalman filter of
+constant acceleration. Jacobians are given, measurements made beforehand: the time is the library's.
 """
 
 from __future__ import annotations
 
 import datetime
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import count
-from math import cos, sin
 from typing import Any
 
 import numpy as np
+from benchmarks.accuracy.peers_filterpy import Bicycle, jacobian, moved, noise, residual, selected, turned
 
 Work = Callable[[], None]
 
-I6, H6 = np.eye(6), np.eye(2, 6)  # position first
+I6, R = np.eye(6), np.diag([0.0025, 0.0025, 0.0025])  # [m2, m2, rad2]
 ONCE, TWICE, SAME_AXIS = np.eye(6, k=2), np.eye(6, k=4), np.tile(np.eye(2), (3, 3))
-R = 0.0025 * np.eye(2)  # [m2]
-RATES = np.diag([1e-4, 1e-4, 1e-3, 1e-3, 1.0, 1.0])  # process noise of the bicycle, per second
-L_R = 2.0  # body centre to rear axle [m]
-BICYCLE = [0.0, 0.0, 0.0, 0.0, 8.0, 0.0]  # x, y, yaw, slip, speed, acceleration
+GAINS = Bicycle()
+FIRST = [0.0, 0.0, 8.0, 0.0, 0.0, 0.0]  # x, y, speed, acceleration, yaw, slip
 
 
-def bicycle(x: Any, dt: float) -> Any:
-    """State (6,) after dt [s]."""
-    px, py, psi, beta, V, A = x
-    chi = psi + beta
-    turn = dt * V * sin(beta) / L_R
-    return np.array([px + dt * V * cos(chi), py + dt * V * sin(chi), psi + turn, beta, V + dt * A, A])
-
-
-def bicycle_jacobian(x: Any, dt: float) -> Any:
-    """Derivative (6, 6) of `bicycle`."""
-    _, _, psi, beta, V, _ = x
-    c, s = dt * cos(psi + beta), dt * sin(psi + beta)
-    F = I6.copy()
-    F[0, 2] = F[0, 3] = -V * s
-    F[1, 2] = F[1, 3] = V * c
-    F[0, 4], F[1, 4], F[4, 5] = c, s, dt
-    F[2, 3], F[2, 4] = dt * V * cos(beta) / L_R, dt * sin(beta) / L_R
-    return F
-
-
-def acceleration_model(dt: float) -> tuple[Any, Any]:
-    """Transition and process noise (6, 6) of constant acceleration: x, y, their first and second rates."""
-    F = I6 + dt * ONCE + 0.5 * dt * dt * TWICE
-    g = np.array([0.5 * dt * dt, 0.5 * dt * dt, dt, dt, 1.0, 1.0])
-    return F, np.outer(g, g) * SAME_AXIS
-
-
-def velocity_model(dt: float, rate: float) -> tuple[Any, Any]:
-    """Transition and process noise (6, 6) of a velocity that turns at `rate` [rad/s]; two states idle."""
-    c, s = cos(rate * dt), sin(rate * dt)
-    a, b = (s / rate, (1.0 - c) / rate) if rate else (dt, 0.0)
-    F = I6.copy()
-    F[:4, 2:4] = [[a, -b], [b, a], [c, -s], [s, c]]
-    g = np.array([0.5 * dt * dt, 0.5 * dt * dt, dt, dt, 0.0, 0.0])
-    return F, np.outer(g, g) * SAME_AXIS
-
-
-def samples() -> Any:
-    """(dt [s], position (2,)) for ever: straight on at 8 m/s, with noise of 5 cm."""
+def samples() -> Iterator[tuple[float, Any]]:
+    """(dt [s], position and heading (3,)) for ever: straight on at 8 m/s, with noise of 5 cm and 0.05 rad."""
     rng = np.random.default_rng(2)
-    dt, noise = rng.uniform(0.08, 0.12, 1000), rng.normal(0.0, 0.05, (1000, 2))
+    dt, scatter = rng.uniform(0.08, 0.12, 1000), rng.normal(0.0, 0.05, (1000, 3))
     x = 0.0
     for k in count():
         x += 8.0 * dt[k % 1000]
-        yield float(dt[k % 1000]), noise[k % 1000] + np.array([x, 0.0])
+        yield float(dt[k % 1000]), scatter[k % 1000] + np.array([x, 0.0, 0.0])
+
+
+def accelerated(dt: float) -> tuple[Any, Any]:
+    """Transition and noise (6, 6) over dt [s] at constant acceleration: x, y, their first and second rates."""
+    g = np.array([0.5 * dt * dt, 0.5 * dt * dt, dt, dt, 1.0, 1.0])
+    return I6 + dt * ONCE + 0.5 * dt * dt * TWICE, np.outer(g, g) * SAME_AXIS
 
 
 # ------------------------------------------------------------------ FilterPy
@@ -78,20 +45,21 @@ def samples() -> Any:
 
 def filterpy(kind: str) -> tuple[str, Work]:
     """What it is, and one step of it."""
-    return _FILTERPY.get(kind, _filterpy_kalman)(samples())
+    makers = {"ekf": _filterpy_ekf, "ukf": _filterpy_ukf, "imm": _filterpy_imm}
+    return makers.get(kind, _filterpy_kalman)(samples())
 
 
 def _filterpy_kalman(given: Any) -> tuple[str, Work]:
     from filterpy.kalman import KalmanFilter
 
     f = KalmanFilter(dim_x=6, dim_z=2)
-    f.H, f.R = H6, R
+    f.H, f.R = I6[:2], R[:2, :2]
 
     def work() -> None:
         dt, z = next(given)
-        F, Q = acceleration_model(dt)
+        F, Q = accelerated(dt)
         f.predict(F=F, Q=Q)
-        f.update(z[:, None])
+        f.update(z[:2, None])
 
     return "Kalman, constant acceleration", work
 
@@ -99,18 +67,18 @@ def _filterpy_kalman(given: Any) -> tuple[str, Work]:
 def _filterpy_ekf(given: Any) -> tuple[str, Work]:
     from filterpy.kalman import ExtendedKalmanFilter
 
-    class Bicycle(ExtendedKalmanFilter):  # type: ignore[misc]
+    class Extended(ExtendedKalmanFilter):  # type: ignore[misc]
         def predict_x(self, u: float) -> None:
-            self.x = bicycle(self.x, u)
+            self.x = moved(self.x, u, GAINS.l_r)
 
-    f = Bicycle(dim_x=6, dim_z=2)
-    f.x, f.R = np.array(BICYCLE), R
+    f, H = Extended(dim_x=6, dim_z=3), selected(3)
+    f.x, f.R = np.array(FIRST), R
 
     def work() -> None:
         dt, z = next(given)
-        f.F, f.Q = bicycle_jacobian(f.x, dt), RATES * dt
+        f.F, f.Q = jacobian(f.x, dt, GAINS.l_r), noise(dt, GAINS)
         f.predict(dt)
-        f.update(z, lambda x: H6, lambda x: x[:2])
+        f.update(z, lambda x: H, lambda x: H @ x, residual=residual)
 
     return "EKF, bicycle", work
 
@@ -118,13 +86,15 @@ def _filterpy_ekf(given: Any) -> tuple[str, Work]:
 def _filterpy_ukf(given: Any) -> tuple[str, Work]:
     from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-    points = MerweScaledSigmaPoints(6, alpha=0.5, beta=2.0, kappa=0.0)
-    f = UnscentedKalmanFilter(6, 2, 0.1, hx=lambda x: x[:2], fx=bicycle, points=points)
-    f.x, f.R = np.array(BICYCLE), R
+    H, points = selected(3), MerweScaledSigmaPoints(6, alpha=0.1, beta=2.0, kappa=-3.0)
+    f = UnscentedKalmanFilter(
+        6, 3, 0.1, hx=lambda x: H @ x, fx=lambda x, dt: moved(x, dt, GAINS.l_r), points=points
+    )
+    f.x, f.R, f.residual_z = np.array(FIRST), R, residual
 
     def work() -> None:
         dt, z = next(given)
-        f.Q = RATES * dt
+        f.Q = noise(dt, GAINS)
         f.predict(dt=dt)
         f.update(z)
 
@@ -134,22 +104,25 @@ def _filterpy_ukf(given: Any) -> tuple[str, Work]:
 def _filterpy_imm(given: Any) -> tuple[str, Work]:
     from filterpy.kalman import IMMEstimator, KalmanFilter
 
-    filters = [KalmanFilter(dim_x=6, dim_z=2) for _ in range(2)]
-    for f in filters:
-        f.H, f.R, f.x = H6, R, np.zeros((6, 1))
-    f = IMMEstimator(filters, [0.5, 0.5], np.array([[0.95, 0.05], [0.05, 0.95]]))
+    class Turning(KalmanFilter):  # type: ignore[misc]
+        def predict(self, u: Any = None) -> None:
+            self.x, self.F = turned(self.x, self.dt)
+            self.P = self.F @ self.P @ self.F.T + self.Q
+
+    straight, turning = KalmanFilter(dim_x=5, dim_z=2), Turning(dim_x=5, dim_z=2)
+    for f in (straight, turning):
+        f.H, f.R, f.x = np.eye(2, 5), R[:2, :2], np.array([0.0, 0.0, 8.0, 0.0, 0.0])
+    imm = IMMEstimator([straight, turning], [0.5, 0.5], np.array([[0.95, 0.05], [0.05, 0.95]]))
 
     def work() -> None:
         dt, z = next(given)
-        for one, rate in zip(filters, (0.0, 0.3), strict=True):
-            one.F, one.Q = velocity_model(dt, rate)
-        f.predict()
-        f.update(z[:, None])
+        F, Q = accelerated(dt)
+        straight.F, straight.Q = F[:5, :5] * [1, 1, 1, 1, 0], Q[:5, :5]
+        turning.dt, turning.Q = dt, Q[:5, :5]
+        imm.predict()
+        imm.update(z[:2])
 
     return "IMM, constant velocity and turn", work
-
-
-_FILTERPY: dict[str, Any] = {"ekf": _filterpy_ekf, "ukf": _filterpy_ukf, "imm": _filterpy_imm}
 
 
 # ------------------------------------------------------------------ Stone Soup
@@ -163,13 +136,13 @@ def stonesoup(kind: str) -> tuple[str, Work]:
     from stonesoup.types.detection import Detection
     from stonesoup.types.hypothesis import SingleHypothesis
 
-    given = samples()
+    given, n = samples(), updater.measurement_model.ndim_meas
 
     def work() -> None:
         nonlocal state
         dt, z = next(given)
         t = state.timestamp + datetime.timedelta(seconds=dt)
-        seen = Detection(z[:, None], timestamp=t, measurement_model=updater.measurement_model)
+        seen = Detection(z[:n, None], timestamp=t, measurement_model=updater.measurement_model)
         state = updater.update(SingleHypothesis(predictor.predict(state, timestamp=t), seen))
 
     return what, work
@@ -183,42 +156,39 @@ def _soup(kind: str) -> Any:
     from stonesoup.types.state import GaussianState
     from stonesoup.updater import kalman as updaters
 
-    first = datetime.datetime(2026, 1, 1)
-    by_kind = {"ekf": "Extended", "ukf": "Unscented"}
-    prefix = by_kind.get(kind, "")
+    prefix = {"ekf": "Extended", "ukf": "Unscented"}.get(kind, "")
     if prefix:
-        model, mapping, x = _soup_bicycle(), (0, 1), BICYCLE
+        model, mapping, x = _soup_bicycle(), (0, 1, 4), FIRST
     else:
         model, mapping, x = Combined([ConstantAcceleration(1.0)] * 2), (0, 3), [0.0] * 6
-    measured = LinearGaussian(ndim_state=6, mapping=mapping, noise_covar=R)
+    n = len(mapping)
+    measured = LinearGaussian(ndim_state=6, mapping=mapping, noise_covar=R[:n, :n])
     return (
         f"{kind.upper()}, bicycle" if prefix else "Kalman, constant acceleration",
         getattr(predictors, f"{prefix}KalmanPredictor")(model),
         getattr(updaters, f"{prefix}KalmanUpdater")(measured),
-        GaussianState(np.array(x)[:, None], np.eye(6), timestamp=first),
+        GaussianState(np.array(x)[:, None], I6, timestamp=datetime.datetime(2026, 1, 1)),
     )
 
 
 def _soup_bicycle() -> Any:
     from stonesoup.models.base import TimeVariantModel
     from stonesoup.models.transition.nonlinear import GaussianTransitionModel
-    from stonesoup.types.array import CovarianceMatrix, StateVector
+    from stonesoup.types.array import CovarianceMatrix, StateVector, StateVectors
 
-    class Bicycle(GaussianTransitionModel, TimeVariantModel):  # type: ignore[misc]
+    class Transition(GaussianTransitionModel, TimeVariantModel):  # type: ignore[misc]
         ndim_state = 6
 
         def function(self, state: Any, noise: Any = False, time_interval: Any = None, **_: Any) -> Any:
-            columns = np.asarray(state.state_vector, float).T
-            moved = [bicycle(x, time_interval.total_seconds()) for x in columns]
-            return (
-                StateVector(moved[0]) if len(moved) == 1 else np.array(moved).T.view(type(state.state_vector))
-            )
+            dt, columns = time_interval.total_seconds(), np.asarray(state.state_vector, float).T
+            after = [moved(x, dt, GAINS.l_r) for x in columns]
+            return StateVector(after[0]) if len(after) == 1 else np.array(after).T.view(StateVectors)
 
         def jacobian(self, state: Any, time_interval: Any = None, **_: Any) -> Any:
             x = np.asarray(state.state_vector, float)[:, 0]
-            return bicycle_jacobian(x, time_interval.total_seconds())
+            return jacobian(x, time_interval.total_seconds(), GAINS.l_r)
 
         def covar(self, time_interval: Any = None, **_: Any) -> Any:
-            return CovarianceMatrix(RATES * time_interval.total_seconds())
+            return CovarianceMatrix(noise(time_interval.total_seconds(), GAINS))
 
-    return Bicycle()
+    return Transition()

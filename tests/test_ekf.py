@@ -260,7 +260,7 @@ def test_the_covariance_stays_positive_through_ten_thousand_samples(
     assert (d[:, :6] > 0.0).all()
     d[d == 0.0] = 1.0
     correlation = P / (d[:, :, None] * d[:, None, :])
-    assert np.linalg.eigvalsh(correlation).min() > -1e-9
+    assert np.linalg.eigvalsh(correlation).min() > 0.0
 
 
 def test_its_errors_are_as_large_as_it_says() -> None:
@@ -458,7 +458,8 @@ def test_without_hops_the_offset_is_not_there() -> None:
 def test_a_low_noise_follows_the_sensor_and_a_high_one_the_model() -> None:
     truth, dt = drive(200, seed=4), 0.1
     y = measured(truth[:, :2], truth[:, 4], 0.2, 0.03)
+    y[:, 2:5] = 0.0  # the settings alone say how good the sensor is
     low, high = run(y, dt, LOW_NOISE), run(y, dt, HIGH_NOISE)
-    assert rms(low[50:, :2] - y[50:, :2]) < 0.8 * rms(high[50:, :2] - y[50:, :2])
+    assert rms(low[50:, :2] - y[50:, :2]) < 0.6 * rms(high[50:, :2] - y[50:, :2])
     roughness = [rms(np.diff(velocity(s[50:]), axis=0)) for s in (low, high)]
     assert roughness[1] < 0.5 * roughness[0]

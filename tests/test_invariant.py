@@ -124,6 +124,25 @@ def test_the_error_matrices_are_the_observers_own(
     np.testing.assert_allclose(np.array(columns).T, matrix, rtol=0.0, atol=2e-6)
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_the_error_matrices_hold_for_saturated_steps(seed: int) -> None:
+    """Both innovations beyond their limits: the step is the matrix of the weights that the limits make."""
+    rng, dt, limit = np.random.default_rng(seed), 0.1, 1e-6
+    gains = LINEAR._replace(huber=limit)
+    true = rolling(rng.uniform(-3.0, 3.0), rng.uniform(6.0, 20.0), rng.uniform(-0.5, 0.5))
+    after, e = inv._driven(true, dt, gains), 1e-5 * rng.normal(size=7)
+    s = moved(true, e)
+    y = nominal(after.x, after.y, after.chi - after.beta)
+    before = seen_from(inv._driven(s, dt, gains), after)
+    L = inv.correction(dt, true.V, 100.0, R, R, OF_HEADING, gains)
+    square = before[0] ** 2 * (1.0 - L.along.p) / R + before[3] ** 2 * (1.0 - L.across.p) / R
+    u = min(1.0, limit / math.sqrt(square))
+    h = min(1.0, limit * proof.NOMINAL_HEADING / abs(before[4] - before[6]))
+    assert min(u, h) < 0.9
+    want = proof.error_matrix(dt, true.V, true.V * true.k, L, u, h, gains) @ e
+    np.testing.assert_allclose(seen_from(inv.step(s, y, y, dt, gains), after), want, rtol=1e-3, atol=2e-9)
+
+
 def test_the_certificate_holds_and_fails_for_other_gains() -> None:
     c = inv.certificate()
     assert c.proven()

@@ -372,3 +372,11 @@ def test_the_designed_table_turns_with_the_car(speed: float) -> None:
     assert s[1] == pytest.approx(speed, rel=0.02)
     assert wrap(s[4] - t[-1, PSI]) == pytest.approx(0.0, abs=0.02 + 0.001 * speed)
     assert s[5] == pytest.approx(t[-1, BETA], abs=0.02)
+
+
+def test_the_shortest_of_all_steps_leaves_the_state_finite() -> None:
+    p = np.column_stack([np.linspace(0.0, 8.0, 11), np.zeros(11)])
+    dt = np.full((1, 11), 0.1)
+    dt[0, 5] = 5e-324
+    y = measured(p, 0.0, np.random.default_rng(0))
+    assert np.isfinite(observers.batch(multi_stage, y, dt, Gains())[0, 1:]).all()

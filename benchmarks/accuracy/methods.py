@@ -30,8 +30,8 @@ KALMAN: Mapping[str, Range] = {
 
 # What the search may change where only positions are used, by observer: from, to.
 TUNED: Mapping[str, Mapping[str, Range]] = {
-    "ekf": KALMAN,
-    "ukf": KALMAN,
+    "ekf": {**KALMAN, "coast": (0.2, 20.0)},
+    "ukf": {**KALMAN, "coast": (0.2, 20.0)},
     "multi_stage": {
         "speed": (0.3, 8.0),
         "orientation": (0.3, 8.0),

@@ -178,20 +178,24 @@ static void disturb(Matrix P, int n, double t, double V, double twist, double c,
     mirror(P, n);
 }
 
-static inline void congruence(Matrix F, Matrix P, int n) {
-    Matrix M;
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) {
-            double total = 0.0;
-            for (int k = 0; k < n; k++) total += F[i][k] * P[k][j];
-            M[i][j] = total;
-        }
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j <= i; j++) {
-            double total = 0.0;
-            for (int k = 0; k < n; k++) total += M[i][k] * F[j][k];
-            P[i][j] = P[j][i] = total;
-        }
+/* Lower half of P <- F P F'; of F, what is neither 0 nor 1. */
+static inline void carry(Matrix F, Matrix P, int n) {
+    for (int j = 0; j < n; j++) {
+        P[0][j] += F[0][2] * P[2][j] + F[0][3] * P[3][j] + F[0][4] * P[4][j] + F[0][5] * P[5][j];
+        P[1][j] += F[1][2] * P[2][j] + F[1][3] * P[3][j] + F[1][4] * P[4][j] + F[1][5] * P[5][j];
+        P[4][j] += F[4][2] * P[2][j] + F[4][3] * P[3][j] + F[4][5] * P[5][j];
+        P[2][j] += F[2][3] * P[3][j];
+        for (int i = 6; i < n; i++) P[i][j] *= F[i][i];
+        P[3][j] *= F[3][3];
+    }
+    for (int i = 0; i < n; i++) {
+        P[i][0] += F[0][2] * P[i][2] + F[0][3] * P[i][3] + F[0][4] * P[i][4] + F[0][5] * P[i][5];
+        P[i][1] += F[1][2] * P[i][2] + F[1][3] * P[i][3] + F[1][4] * P[i][4] + F[1][5] * P[i][5];
+        P[i][4] += F[4][2] * P[i][2] + F[4][3] * P[i][3] + F[4][5] * P[i][5];
+        P[i][2] += F[2][3] * P[i][3];
+        for (int j = 6; j < n; j++) P[i][j] *= F[j][j];
+        P[i][3] *= F[3][3];
+    }
 }
 
 static inline void advance(Mean x, Matrix P, int n, double dt, const Gains *g) {
@@ -243,7 +247,7 @@ static inline void advance(Mean x, Matrix P, int n, double dt, const Gains *g) {
         F[i][i] = exp(-t / g->hop_time);
         x[i] *= F[i][i];
     }
-    congruence(F, P, n);
+    carry(F, P, n);
     disturb(P, n, t, V + 0.5 * A * v, twist, cm, sm, g);
 }
 
@@ -285,11 +289,11 @@ static double huber(const Innovation *i, double k) {
 }
 
 static inline void correct_two(Mean x, Matrix P, double G[8][2], int n, const Innovation *e, double w) {
-    double l = sqrt(e->xx / w), m = e->xy / w / l, k = sqrt(e->yy / w - m * m), a = e->x / l;
-    double b = (e->y - m * a) / k;
+    double l = 1.0 / sqrt(e->xx / w), m = e->xy / w * l, k = 1.0 / sqrt(e->yy / w - m * m), a = e->x * l;
+    double b = (e->y - m * a) * k;
     for (int i = 0; i < n; i++) {
-        G[i][0] /= l;
-        G[i][1] = (G[i][1] - m * G[i][0]) / k;
+        G[i][0] *= l;
+        G[i][1] = (G[i][1] - m * G[i][0]) * k;
         x[i] += G[i][0] * a + G[i][1] * b;
         for (int j = 0; j <= i; j++) {
             P[i][j] -= G[i][0] * G[j][0] + G[i][1] * G[j][1];
@@ -299,21 +303,21 @@ static inline void correct_two(Mean x, Matrix P, double G[8][2], int n, const In
 }
 
 static inline void correct_one(Mean x, Matrix P, int n, int at, double e, double r) {
-    double p = P[at][at], s = P[at][at] + r;
+    double p = P[at][at], q = 1.0 / (P[at][at] + r);
     for (int i = 0; i < n; i++) {
         if (i == at) continue;
-        double k = P[i][at] / s;
+        double k = P[i][at] * q;
         x[i] += k * e;
         for (int j = 0; j <= i; j++) {
             if (j == at) continue;
-            double g = P[j][at] / s;
+            double g = P[j][at] * q;
             P[i][j] += (p + r) * k * g - k * P[j][at] - g * P[i][at];
             P[j][i] = P[i][j];
         }
     }
-    x[at] += p / s * e;
+    x[at] += p * q * e;
     for (int i = 0; i < n; i++) {
-        P[i][at] *= r / s;
+        P[i][at] *= r * q;
         P[at][i] = P[i][at];
     }
 }

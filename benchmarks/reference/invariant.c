@@ -10,7 +10,7 @@
 #define HEADING 0.1
 #define V_MAX 70.0
 #define A_MAX 100.0
-#define SLIP_MAX (PI / 9.0)
+#define SLIP_MAX (PI / 6.0)
 #define REVERSE 4.0
 #define GATE 2.0
 #define CONTRARY 3.0
@@ -142,20 +142,20 @@ static State corrected(
     double run, const Gains *g
 ) {
     int points = g->heading > 0.0 && pointed(y);
-    double side = larger(-1.0, smaller(1.0, 1.0 + 2.0 * s->V / g->v0)), left = points ? 1.0 - L->course : 1.0;
-    double turned = side * left * L->across.v * across, bend = left * L->across.a * across;
-    double offset = L->across.p * across, yawed = g->share * turned, contrary = s->contrary;
+    double side = larger(-1.0, smaller(1.0, 1.0 + 2.0 * s->V / g->v0)), e = 0.0, left = 1.0;
+    double contrary = s->contrary;
     if (points) {
-        double e = wrap(y->heading - s->chi + s->beta);
-        int back = fabs(e) > 0.5 * PI;
+        double whole = wrap(y->heading - s->chi + s->beta);
+        int back = fabs(whole) > 0.5 * PI;
         contrary = back ? contrary + 1.0 : 0.0;
-        if (back) e = wrap(e + PI);
-        if (g->huber > 0.0) e = clip(e, g->huber * sigma);
-        turned += L->course * e;
-        yawed += L->yaw * e;
-        bend += side * L->curvature * e;
-        offset += side * L->offset * e;
+        if (back) whole = wrap(whole + PI);
+        e = g->huber > 0.0 ? clip(whole, g->huber * sigma) : whole;
+        left = 1.0 - L->course * (e != whole ? e / whole : 1.0);
     }
+    double by_place = side * left * L->across.v * across;
+    double turned = by_place + L->course * e, yawed = g->share * by_place + L->yaw * e;
+    double bend = left * L->across.a * across + side * L->curvature * e;
+    double offset = L->across.p * across + side * L->offset * e;
     double c = cos(s->chi), n = sin(s->chi);
     State r = {
         s->x + c * L->along.p * along - n * offset,

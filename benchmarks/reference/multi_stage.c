@@ -18,12 +18,12 @@ static const double L_PSI[SPEEDS] = {0.89, 0.98, 1.37, 1.76, 2.52, 3.67, 5.47, 8
                                      6.60, 7.14, 7.70, 8.27, 8.84, 9.42, 9.99, 10.49, 10.97, 11.44};
 static const double L_BETA[SPEEDS] = {0.25, 0.27, 0.30, 0.33, 0.37, 0.50, 0.70, 0.99, 1.17, 0.66, 0.68,
                                       0.71, 0.74, 0.77, 0.79, 0.82, 0.85, 0.88, 0.89, 0.91, 0.92};
-static const double OUR_PSI[SPEEDS] = {0.9325, 1.075, 1.231, 1.487, 1.766, 2.045, 2.323, 2.602, 2.88, 3.159,
-                                       3.437, 3.715, 3.993, 4.271, 4.549, 4.827, 5.105, 5.383, 5.661, 5.939,
-                                       6.243};
-static const double OUR_BETA[SPEEDS] = {0.3402, 0.386, 0.3861, 0.4269, 0.4636, 0.505, 0.549, 0.5946, 0.6416,
-                                        0.6895, 0.738, 0.7869, 0.8363, 0.8861, 0.9362, 0.9866, 1.037, 1.088,
-                                        1.14, 1.192, 1.288};
+static const double OUR_PSI[SPEEDS] = {0.9299, 1.075, 1.231, 1.487, 1.767, 2.045, 2.323, 2.602, 2.88, 3.159,
+                                       3.437, 3.716, 3.994, 4.273, 4.551, 4.83, 5.108, 5.387, 5.665, 5.942,
+                                       6.238};
+static const double OUR_BETA[SPEEDS] = {0.3391, 0.3861, 0.3863, 0.4271, 0.4639, 0.5052, 0.5489, 0.5946, 0.6416,
+                                        0.6895, 0.7381, 0.7873, 0.837, 0.8871, 0.9375, 0.9882, 1.039, 1.09,
+                                        1.142, 1.193, 1.282};
 
 typedef struct { double S, V, A, J, psi, beta, x, y; } State;
 typedef struct { double x, y, xx, xy, yy, heading, heading_variance, length, width; } Measurement;
@@ -186,7 +186,8 @@ static State step(const State *s, const Measurement *previous, const Measurement
     double psi0 = heading_or(&before, heading_or(y, s->psi));
     double turn = wrap(heading_or(y, psi0) - psi0);
     Output begin = {0.0, chi + e, psi0, before.x, before.y};
-    Output rate = {way / dt, 0.0, turn / dt, dx / dt, dy / dt};
+    double d = larger(dt, 1e-9);
+    Output rate = {way / d, 0.0, turn / d, dx / d, dy / d};
     double fastest = larger(larger(k.L_S, k.L_w), fabs(k.L_psi + k.L_beta) + k.L_heading);
     double n = ceil(2.0 * dt * fastest);
     State r = rk4(*s, &begin, &rate, &k, dt, n < 4.0 ? 4 : n > 1000.0 ? 1000 : (int)n);

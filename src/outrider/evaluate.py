@@ -111,7 +111,7 @@ def evaluate(
     run was made from. offset: the body centre in the frame whose pose was measured [m]; None: as the data set
     says, else (0, 0). gate: how near a track must be [m]; None: 3.5 m in the full-size world. Scans from
     `skip` to `until` seconds after the first one count; until None: as long as the data set is sound. lagged:
-    score the smoothed tracks of `observer.lag_scans` scans later.
+    score what the observer knew by looking back (docs/observers.md).
 
     Raises InputError where there is no truth, no scan to compare it with, or no run.
     """
@@ -182,7 +182,9 @@ def _extent(run: Run, told: Array | None) -> Array:
 
 def _estimates(run: Run, lagged: bool) -> Estimates:
     if lagged and run.lagged is None:
-        raise InputError(f"{run.folder}: no lagged tracks; want a run with observer.lag_scans above 0")
+        raise InputError(
+            f"{run.folder}: no lagged tracks; want a run with --observer NAME+lagN, such as ekf+lag2"
+        )
     table = run.lagged if lagged else run.tracks
     c = {name: table[name].to_numpy() for name in table.column_names}
     reverse = np.where(c["speed"] < 0.0, np.pi, 0.0)

@@ -90,9 +90,8 @@ class Track(Section, frozen=True):
 class Observer(Section, frozen=True):
     """Which observer, by name of its file in observers/, and gains that differ from its defaults."""
 
-    name: str = "multi_stage"  # file in observers/
+    name: str = "multi_stage"  # file in observers/; NAME:GAINS for gains it names; +lagN: also N scans late
     gains: dict[str, dict[str, float]] = {}  # by observer: gain by name, where it differs from the default
-    lag_scans: int = 0  # also tell, this many scans late, what is known of the tracks by then; 0: do not
 
 
 class Threat(Section, frozen=True):

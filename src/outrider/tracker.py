@@ -48,12 +48,12 @@ class Engine:
 
 def engine(settings: Settings) -> Engine:
     """The observer that the settings name; InputError for an unknown name or gain, or a lag it has not."""
-    chosen = settings.observer
-    observer = observers.get(chosen.name)
-    known = {name: observers.gains_from(observers.get(name), g) for name, g in chosen.gains.items()}
-    gains = known.get(chosen.name, observer.Gains())
-    observers.check_lag(observer, chosen.lag_scans)
-    return Engine(observer, gains, observers.stream(observer), len(observer.State._fields), chosen.lag_scans)
+    told = settings.observer
+    for name, values in told.gains.items():
+        observers.gains_from(observers.get(name), values)
+    chosen = observers.variant(told.name, told.gains)
+    n_states = len(chosen.observer.State._fields)
+    return Engine(chosen.observer, chosen.gains, observers.stream(chosen.observer), n_states, chosen.lag)
 
 
 def start(settings: Settings) -> TrackMemory:

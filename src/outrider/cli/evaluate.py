@@ -38,7 +38,7 @@ def evaluate(
     until
         Seconds after the first scan from which nothing counts.
     lagged
-        Score what was known observer.lag_scans scans later instead.
+        Score what was known some scans later instead, where the observer looked back (NAME+lagN).
     """
     from outrider.evaluate import evaluate as score
 

@@ -37,7 +37,7 @@ BACKGROUND_S = 10.0  # between two saves of the background
 
 def _tables(settings: Settings) -> tuple[str, ...]:
     """Names of the tables that a run under these settings keeps."""
-    return ("tracks", "scans", "lagged") if settings.observer.lag_scans else ("tracks", "scans")
+    return ("tracks", "scans", "lagged") if "+lag" in settings.observer.name else ("tracks", "scans")
 
 
 @contextmanager
@@ -243,9 +243,7 @@ class Run:
     tracks: Any  # pyarrow.Table, one row per track and scan
     scans: Any  # pyarrow.Table, one row per scan
     alerts: list[dict[str, Any]]  # one per change, in order of time
-    lagged: Any = (
-        None  # like tracks, without `ttc`, as known `observer.lag_scans` scans later; None: none kept
-    )
+    lagged: Any = None  # like tracks, without `ttc`, as known some scans later; None: none kept
 
     def to_pandas(self) -> Any:
         """The tracks as a pandas DataFrame; needs pandas, `pip install outrider[pandas]`."""

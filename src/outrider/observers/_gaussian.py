@@ -56,19 +56,19 @@ def congruence(F: Any, P: Any, scratch: Any) -> None:
 def correct_one(x: Any, P: Any, at: int, e: float, r: float) -> None:
     """Kalman correction of x (1, n), P (n, n) by component `at`: innovation e, variance r."""
     n = P.shape[0]
-    p, s = P[at, at], P[at, at] + r
+    p, q = P[at, at], 1.0 / (P[at, at] + r)
     for i in range(n):
         if i != at:
-            k = P[i, at] / s
+            k = P[i, at] * q
             x[0, i] += k * e
             for j in range(i + 1):
                 if j != at:
-                    g = P[j, at] / s
+                    g = P[j, at] * q
                     P[i, j] += (p + r) * k * g - k * P[j, at] - g * P[i, at]
                     P[j, i] = P[i, j]
-    x[0, at] += p / s * e
+    x[0, at] += p * q * e
     for i in range(n):
-        P[i, at] *= r / s
+        P[i, at] *= r * q
         P[at, i] = P[i, at]
 
 
@@ -96,14 +96,14 @@ def correct_two(x: Any, P: Any, G: Any, e: tuple[float, float], S: tuple[float, 
     G (n, 2): covariance of the state and the outputs, used up. e: their innovations. S: the covariance of
     these, (xx, xy, yy), positive. With S = L L' what is taken away is (G L^-T)(G L^-T)'.
     """
-    l = sqrt(S[0])
-    m = S[1] / l
-    k = sqrt(S[2] - m * m)
-    a = e[0] / l
-    b = (e[1] - m * a) / k
+    l = 1.0 / sqrt(S[0])
+    m = S[1] * l
+    k = 1.0 / sqrt(S[2] - m * m)
+    a = e[0] * l
+    b = (e[1] - m * a) * k
     for i in range(x.shape[1]):
-        G[i, 0] /= l
-        G[i, 1] = (G[i, 1] - m * G[i, 0]) / k
+        G[i, 0] *= l
+        G[i, 1] = (G[i, 1] - m * G[i, 0]) * k
         x[0, i] += G[i, 0] * a + G[i, 1] * b
         for j in range(i + 1):
             P[i, j] -= G[i, 0] * G[j, 0] + G[i, 1] * G[j, 1]

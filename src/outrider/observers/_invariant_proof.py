@@ -24,12 +24,8 @@ REGION = {
     "weight of a saturated position [-]": (0.7, 1.0),
     "weight of a saturated heading [-]": (0.3, 1.0),
 }
-WEIGHTS = (
-    (0.7, 0.3),
-    (0.7, 1.0),
-    (1.0, 0.0),
-    (1.0, 1.0),
-)  # vertices: of position, of heading; (1, 0): none seen
+# Vertices of the weights of position and heading: the box of the region, and the edge to no heading at all.
+WEIGHTS = (0.7, 0.3), (0.7, 1.0), (1.0, 0.0), (1.0, 1.0)
 GRID = 4, 9, 3  # points of the first three, the turn to one side only
 STEP = 0.1  # matrices are brought to this time between samples [s]
 DECAY = 0.05  # of the error, at least [1/s]; P was found for twice that: room between grid points
@@ -106,7 +102,7 @@ def error_matrix(
     dt: float, V: float, yaw_rate: float, L: Correction, u: float, h: float, gains: Gains
 ) -> Array:
     """(I - L H) F, (7, 7): one sample of the error at constant speed; u, h: weights of position, heading."""
-    left = 1.0 - h * L.course
+    left = 1.0 - h * L.course  # what the heading leaves open
     M = np.eye(7) - u * _by_position(L, left, gains) - h * _by_heading(L)
     out: Array = M @ _driven(dt, V, yaw_rate, gains)
     return out

@@ -10,10 +10,10 @@ from __future__ import annotations
 from math import cos, log, sin, sqrt
 from typing import Any
 
-from outrider.kernel import kernel
+from outrider.kernel import kernel, matrix
 from outrider.observers import Innovation, Measurement
 from outrider.observers._bicycle import heading_scatter, scatter
-from outrider.observers._gaussian import congruence, correct_two
+from outrider.observers._gaussian import cholesky, congruence, correct_two, look_back, product
 from outrider.observers._measured import huber
 
 SLOWEST = 0.01  # variance of the speed across the rear axle, at least [m2/s2]
@@ -129,6 +129,75 @@ def _identity(F: Any) -> None:
         for j in range(5):
             F[i, j] = 0.0
         F[i, i] = 1.0
+
+
+# ------------------------------------------------------------------ two estimates
+
+
+@kernel
+def mix(x: Any, P: Any, z: Any, Z: Any, a: float, c: float) -> None:
+    """x, P becomes the mean and covariance of itself and a share a of z, Z; z, Z with a share c of x, P."""
+    for i in range(5):
+        for j in range(i + 1):
+            apart = (z[0, i] - x[0, i]) * (z[0, j] - x[0, j])
+            p, q = P[i, j], Z[i, j]
+            P[i, j] = p + a * (q - p) + a * (1.0 - a) * apart
+            Z[i, j] = q + c * (p - q) + c * (1.0 - c) * apart
+            P[j, i], Z[j, i] = P[i, j], Z[i, j]
+    for i in range(5):
+        d = z[0, i] - x[0, i]
+        x[0, i] += a * d
+        z[0, i] -= c * d
+
+
+@kernel
+def mean(x: Any, P: Any, z: Any, Z: Any, p: float, o: Any, O: Any) -> None:
+    """Mean o, covariance O of straight x, P, whose turn rate is 0, and, of probability p, turning z, Z."""
+    for i in range(5):
+        d = z[0, i] - x[0, i]
+        o[0, i] = x[0, i] + p * d
+        for j in range(i + 1):
+            straight = P[i, j] if j < 4 else 0.0
+            O[i, j] = straight + p * (Z[i, j] - straight) + p * (1.0 - p) * d * (z[0, j] - x[0, j])
+            O[j, i] = O[i, j]
+
+
+@kernel
+def back_straight(x: Any, P: Any, e: Any, D: Any, t: float, q: float, turn: float) -> None:
+    """x, P with what is known of e, D, t [s] later, having gone straight; Rauch, Tung and Striebel."""
+    n, N, F, G = matrix(1, 5), matrix(5, 5), matrix(5, 5), matrix(5, 5)
+    _copy(x, P, n, N)
+    go_straight(n, N, F, G, t, q, turn)
+    _back(x, P, e, D, n, N, F, G)
+
+
+@kernel
+def back_round(x: Any, P: Any, e: Any, D: Any, t: float, q: float, q_w: float) -> None:
+    """x, P with what is known of e, D, t [s] later, having turned; Rauch, Tung and Striebel."""
+    n, N, F, G = matrix(1, 5), matrix(5, 5), matrix(5, 5), matrix(5, 5)
+    _copy(x, P, n, N)
+    go_round(n, N, F, G, t, q, q_w)
+    _back(x, P, e, D, n, N, F, G)
+
+
+@kernel
+def _back(x: Any, P: Any, e: Any, D: Any, n: Any, N: Any, F: Any, G: Any) -> None:
+    """x, P from what n, N became of it by F; all but these two and e, D are used up."""
+    product(P, F, G)
+    if cholesky(N, F):
+        for i in range(5):
+            n[0, i] = e[0, i] - n[0, i]
+            for j in range(5):
+                N[i, j] = D[i, j] - N[i, j]
+        look_back(x, P, G, n, N, F)
+
+
+@kernel
+def _copy(x: Any, P: Any, o: Any, O: Any) -> None:
+    for i in range(5):
+        o[0, i] = x[0, i]
+        for j in range(5):
+            O[i, j] = P[i, j]
 
 
 # ------------------------------------------------------------------ correction

@@ -1,7 +1,8 @@
 """Constant-velocity observer: position, yaw and slip of a bicycle whose speed is given, gain from one LMI.
 
 The "nonlinear observer" of the papers: a Jacobian polytope over a window of the course. The gain turns with
-the estimate, or is that of the nearest of five sectors as in the source. Differences: docs/observers/constant_velocity.md.
+the estimate, or is that of the nearest of five sectors as in the source.
+Differences: docs/observers/constant_velocity.md.
 """
 
 from __future__ import annotations

@@ -26,7 +26,6 @@ from outrider.observers._bicycle import (
 )
 from outrider.observers._gaussian import (
     cholesky,
-    congruence,
     correct_one,
     correct_two,
     look_back,
@@ -117,7 +116,7 @@ class Gains(NamedTuple):
 # The two filters that Alai & Rajamani 2023 compare with (fig. 10, 11): one trusts the sensor, one the model.
 # The paper prints no covariance; the sensor's stated error, 2 cm, is the low one, the rest is chosen here.
 LOW_NOISE = Gains(noise=0.02, jerk=5.0, slip=0.1, yaw=0.05, huber=0.0, heading=0.0, coast=0.0)
-HIGH_NOISE = LOW_NOISE._replace(noise=2.0)
+HIGH_NOISE = LOW_NOISE._replace(noise=0.5)
 
 
 @kernel
@@ -147,7 +146,7 @@ def _step(state: State, y: Measurement, dt: float, gains: Gains, x: Any, P: Any,
     if not 0.0 < dt < inf:
         return state
     _load(state, x, P)
-    _advance(x, P, F, M, dt, gains)
+    _advance(x, P, F, dt, gains)
     if seen(y):
         _correct(x, P, M, y, gains)
     bound(x, P)
@@ -159,9 +158,9 @@ def predict(state: State, dt: float, gains: Gains) -> State:
     """State after dt [s] on its arc, and how uncertain it then is; a braking vehicle stops."""
     if not 0.0 < dt < inf:
         return state
-    x, P, F, M = matrix(1, 8), matrix(8, 8), matrix(8, 8), matrix(8, 8)
+    x, P, F = matrix(1, 8), matrix(8, 8), matrix(8, 8)
     _load(state, x, P)
-    _advance(x, P, F, M, dt, gains)
+    _advance(x, P, F, dt, gains)
     bound(x, P)
     return _state(x, P)
 
@@ -204,7 +203,7 @@ def smooth(state: State, later: State, dt: float, gains: Gains) -> State:
         e[0, i] = x[0, i]
         for j in range(6):
             D[i, j] = P[i, j]
-    _advance(e, D, F, G, dt, gains)
+    _advance(e, D, F, dt, gains)
     product(P, F, G)
     if not cholesky(D, F):
         return state
@@ -223,7 +222,7 @@ def certificate() -> None:
 
 
 @kernel
-def _advance(x: Any, P: Any, F: Any, M: Any, dt: float, gains: Gains) -> None:
+def _advance(x: Any, P: Any, F: Any, dt: float, gains: Gains) -> None:
     """x, P after dt [s] on the arc of models.bicycle.arc; F: its Jacobian. The offset is forgotten slowly."""
     t = min(dt, LONGEST)
     V, A, psi, beta = x[0, 2], x[0, 3], x[0, 4], x[0, 5]
@@ -251,8 +250,30 @@ def _advance(x: Any, P: Any, F: Any, M: Any, dt: float, gains: Gains) -> None:
     for i in range(6, n):
         F[i, i] = exp(-t / gains.hop_time)
         x[0, i] *= F[i, i]
-    congruence(F, P, M)
+    _carry(F, P)
     disturb(P, t, V + 0.5 * A * v, twist, cm, sm, gains)
+
+
+@kernel
+def _carry(F: Any, P: Any) -> None:
+    """Lower half of P <- F P F', by what of F is neither 0 nor 1; each row is used before it is changed."""
+    n = P.shape[0]
+    for j in range(n):
+        P[0, j] += F[0, 2] * P[2, j] + F[0, 3] * P[3, j] + F[0, 4] * P[4, j] + F[0, 5] * P[5, j]
+        P[1, j] += F[1, 2] * P[2, j] + F[1, 3] * P[3, j] + F[1, 4] * P[4, j] + F[1, 5] * P[5, j]
+        P[4, j] += F[4, 2] * P[2, j] + F[4, 3] * P[3, j] + F[4, 5] * P[5, j]
+        P[2, j] += F[2, 3] * P[3, j]
+        for i in range(6, n):
+            P[i, j] *= F[i, i]
+        P[3, j] *= F[3, 3]
+    for i in range(n):
+        P[i, 0] += F[0, 2] * P[i, 2] + F[0, 3] * P[i, 3] + F[0, 4] * P[i, 4] + F[0, 5] * P[i, 5]
+        P[i, 1] += F[1, 2] * P[i, 2] + F[1, 3] * P[i, 3] + F[1, 4] * P[i, 4] + F[1, 5] * P[i, 5]
+        P[i, 4] += F[4, 2] * P[i, 2] + F[4, 3] * P[i, 3] + F[4, 5] * P[i, 5]
+        P[i, 2] += F[2, 3] * P[i, 3]
+        for j in range(6, n):
+            P[i, j] *= F[j, j]
+        P[i, 3] *= F[3, 3]
 
 
 @kernel

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 from outrider.kernel import from_row, kernel, matrix, to_row, wrap
 from outrider.observers import Innovation, Measurement, Motion, Spread
 from outrider.observers._bicycle import PSI_KNOWN, SLIP_MAX, V_MAX, V_START, heading_scatter, scatter
-from outrider.observers._gaussian import cholesky, limit, look_back, pack, product, unpack
+from outrider.observers._gaussian import limit, pack, unpack
 from outrider.observers._measured import directed, pointed, seen
-from outrider.observers._turning import correct, go_round, go_straight
+from outrider.observers._turning import back_round, back_straight, correct, go_round, go_straight, mean, mix
 
 reference = (
     "H. A. P. Blom and Y. Bar-Shalom 1988, IEEE Trans. Automatic Control 33(8), 780-783; coordinated turn: "
@@ -27,7 +27,8 @@ WIDEST = (1e6, 1e6, V_MAX**2, V_MAX**2, 10.0)  # variances at most
 W_MAX, A_MAX = 10.0, 100.0  # far beyond any vehicle: only keep numbers finite [rad/s, m/s2]
 A_START = 3.0  # deviation of what acceleration there is at the start [m/s2]
 GATE = 2.0  # standard deviations a way must be long to have a direction [-]
-DRIFT, FRESH = 0.1, 0.01  # of the yaw where nothing tells it [rad/sqrt(s)]; its variance is no less [rad2]
+DRIFT = 0.1  # of the yaw, beside the turn rate [rad/sqrt(s)]
+FRESH = 0.01  # variance of the yaw at most as small as this when it is measured anew [rad2]
 
 
 class State(NamedTuple):
@@ -77,16 +78,16 @@ class State(NamedTuple):
 class Gains(NamedTuple):
     """Noise of the two motions and of the sensor, and how often one becomes the other."""
 
-    noise: float = 0.2  # standard deviation of a measured position, beside its own covariance [m]
-    straight: float = 1.0  # white noise on the acceleration when going straight [m/s2/sqrt(Hz)]
+    noise: float = 0.08  # standard deviation of a measured position, beside its own covariance [m]
+    straight: float = 1.8  # white noise on the acceleration when going straight [m/s2/sqrt(Hz)]
     turning: float = 1.0  # when turning [m/s2/sqrt(Hz)]
-    turn_rate: float = 0.1  # on the rate of the turn rate [rad/s2/sqrt(Hz)]
-    turn: float = 0.3  # standard deviation of the turn rate with which a turn begins [rad/s]
-    begin: float = 0.2  # probability a second that a turn begins [1/s]
-    end: float = 0.2  # that it ends [1/s]
-    huber: float = 1.9  # limit of an innovation; 0: none [standard deviations]
+    turn_rate: float = 0.2  # on the rate of the turn rate [rad/s2/sqrt(Hz)]
+    turn: float = 0.4  # standard deviation of the turn rate with which a turn begins [rad/s]
+    begin: float = 0.3  # probability a second that a turn begins [1/s]
+    end: float = 0.6  # that it ends [1/s]
+    huber: float = 3.0  # limit of an innovation; 0: none [standard deviations]
     heading: float = 1.0  # whether the rectangle's heading is used: 1 yes, 0 no [-]
-    heading_noise: float = 0.06  # its standard deviation, beside its own variance [rad]
+    heading_noise: float = 0.03  # its standard deviation, beside its own variance [rad]
     l_r: float = 2.0  # body centre to rear axle; 0: the yaw is the course [m]
     settle: float = 0.5  # time constant of the acceleration, the smoothed derivative of the speed [s]
     reverse: float = 4.0  # what reverses faster is turned round, unless `heading` is used [m/s]
@@ -127,7 +128,7 @@ def start(y0: Measurement, y1: Measurement, dt: float, gains: Gains) -> State:
 
 @kernel
 def step(state: State, previous: Measurement, measurement: Measurement, dt: float, gains: Gains) -> State:
-    """Mixing, both predictions over dt [s], both corrections, and how likely each motion now is."""
+    """Mixing and both predictions over dt [s], then what the measurement says."""
     if not 0.0 < dt < inf:
         return state
     x, P, z, Z = matrix(1, 5), matrix(5, 5), matrix(1, 5), matrix(5, 5)
@@ -141,26 +142,11 @@ def step(state: State, previous: Measurement, measurement: Measurement, dt: floa
         go_round(z, Z, F, M, t / n, gains.turning, gains.turn_rate)
         psi += 0.5 * t / n * (w + p * z[0, 4])
     A, age = state.A * exp(-t / gains.settle), min(state.age + t, LONGEST)
-    variance = min(state.psi_psi + DRIFT**2 * t, 3.0)
-    if not seen(y):
-        return _state(x, P, z, Z, p, psi, variance, A, age)
-    told = gains.heading > 0.0 and pointed(y)
-    u, v = x[0, 2] + p * (z[0, 2] - x[0, 2]), x[0, 3] + p * (z[0, 3] - x[0, 3])
-    more = correct(z, Z, M, y, told, gains.l_r, gains) - correct(x, P, M, y, told, 0.0, gains)
-    p = p / (p + (1.0 - p) * exp(min(max(-more, -700.0), 700.0))) if p > 0.0 else 0.0
-    s = _state(x, P, z, Z, p, psi, variance, A, age)
-    if told:
-        r = heading_scatter(y, gains)
-        psi += variance / (variance + r) * wrap(y.heading - psi)
-        variance *= r / (variance + r)
-    front, variance = _facing(s, psi, variance, told, gains)
-    if cos(front - psi) < 0.0:  # it was taken for the rear
-        A = -A
-    _merge(s, x, P)
-    chi = _course(x[0, 2], x[0, 3], front)
-    gained = (x[0, 2] - u) * cos(chi) + (x[0, 3] - v) * sin(chi)
-    A += (1.0 - exp(-age / gains.settle)) * (gained / age - A)
-    return _told(s, front, variance, A, 0.0)
+    variance = min(max(state.psi_psi, FRESH) + DRIFT**2 * t, 3.0)
+    if seen(y):
+        p, psi, variance, A = _measured(x, P, z, Z, F, M, y, p, psi, variance, A, age, gains)
+        age = 0.0
+    return _state(x, P, z, Z, p, psi, variance, A, age)
 
 
 @kernel
@@ -174,7 +160,7 @@ def predict(state: State, dt: float, gains: Gains) -> State:
 def motion(state: State, gains: Gains) -> Motion:
     """The mean of both motions in common terms."""
     x, P = matrix(1, 5), matrix(5, 5)
-    _merge(state, x, P)
+    _mean_of(state, x, P)
     u, v = x[0, 2], x[0, 3]
     chi = _course(u, v, state.psi)
     speed = u * cos(chi) + v * sin(chi)
@@ -185,7 +171,7 @@ def motion(state: State, gains: Gains) -> Motion:
 def innovation(state: State, measurement: Measurement, gains: Gains) -> Innovation:
     """Against the mean position; its covariance: both motions', how far they are apart, and the sensor's."""
     x, P, y = matrix(1, 5), matrix(5, 5), measurement
-    _merge(state, x, P)
+    _mean_of(state, x, P)
     xx, xy, yy = scatter(y, gains)
     return Innovation(y.x - x[0, 0], y.y - x[0, 1], P[0, 0] + xx, P[1, 0] + xy, P[1, 1] + yy)
 
@@ -194,7 +180,7 @@ def innovation(state: State, measurement: Measurement, gains: Gains) -> Innovati
 def spread(state: State, gains: Gains) -> Spread:
     """Covariance of position and velocity of the mixture."""
     x, P = matrix(1, 5), matrix(5, 5)
-    _merge(state, x, P)
+    _mean_of(state, x, P)
     return Spread(P[0, 0], P[1, 0], P[1, 1], P[2, 0], P[2, 1], P[2, 2], P[3, 0], P[3, 1], P[3, 2], P[3, 3])
 
 
@@ -204,35 +190,20 @@ def smooth(state: State, later: State, dt: float, gains: Gains) -> State:
     if not 0.0 < dt < inf:
         return later
     x, P, z, Z = matrix(1, 5), matrix(5, 5), matrix(1, 5), matrix(5, 5)
-    o, O = matrix(1, 5), matrix(5, 5)
-    t, p, q = min(dt, LONGEST), state.turning, later.turning
-    begins, ends = _changes(t, gains)
-    to = p * (1.0 - ends) + (1.0 - p) * begins  # now turning, as the filter had it
-    both = q * p * (1.0 - ends) / to if to > 0.0 else 0.0
-    ended = (1.0 - q) * p * ends / (1.0 - to) if to < 1.0 else 0.0
-    begun = q - both
-    turning = min(both + ended, 1.0)
-    _load(state, x, P, z, Z, gains.turn)
-    _load(state, o, O, z, Z, gains.turn)
-    _back(x, P, later, t, False, gains)
-    _back(o, O, later, t, True, gains)
-    _mix(x, P, o, O, begun / (1.0 - turning) if turning < 1.0 else 0.0, 0.0)
-    for i in range(5):
-        o[0, i] = z[0, i]
-        for j in range(5):
-            O[i, j] = Z[i, j]
-    _back(z, Z, later, t, True, gains)
-    _back(o, O, later, t, False, gains)
-    _mix(z, Z, o, O, ended / turning if turning > 0.0 else 0.0, 0.0)
-    s = _state(x, P, z, Z, turning, state.psi, state.psi_psi, state.A, state.age)
-    rate = 0.5 * (turning * z[0, 4] + q * later.tw)
-    psi, variance = _facing(s, later.psi - t * rate, later.psi_psi, True, gains)
-    _merge(s, x, P)
-    _merge(later, z, Z)
-    chi = _course(z[0, 2], z[0, 3], later.psi)
-    gained = (z[0, 2] - x[0, 2]) * cos(chi) + (z[0, 3] - x[0, 3]) * sin(chi)
-    A = later.A + (1.0 - exp(-t / gains.settle)) * (gained / t - later.A)
-    return _told(s, psi, variance, A, state.age)
+    o, O, n, N = matrix(1, 5), matrix(5, 5), matrix(1, 5), matrix(5, 5)
+    t = min(dt, LONGEST)
+    p = _looked_back(state, later, x, P, z, Z, t, gains)
+    mean(x, P, z, Z, p, o, O)
+    _mean_of(later, n, N)
+    psi, A = state.psi if cos(later.psi - state.psi) >= 0.0 else state.psi + pi, later.A  # known since
+    then = state.psi_psi + DRIFT**2 * t + t * t * O[4, 4]  # variance of the yaw, as foretold
+    K = state.psi_psi / then
+    psi += K * wrap(later.psi - 0.5 * t * (o[0, 4] + n[0, 4]) - psi)
+    variance = state.psi_psi + K * K * (later.psi_psi - then)
+    chi = _course(n[0, 2], n[0, 3], later.psi)
+    gained = (n[0, 2] - o[0, 2]) * cos(chi) + (n[0, 3] - o[0, 3]) * sin(chi)
+    A += (1.0 - exp(-t / gains.settle)) * (gained / t - A)
+    return _state(x, P, z, Z, p, psi, variance, A, state.age)
 
 
 def certificate() -> None:
@@ -257,60 +228,67 @@ def _mixed(p: float, x: Any, P: Any, z: Any, Z: Any, t: float, gains: Gains) -> 
     """Probability of turning t [s] later; x, P and z, Z become what each motion begins with. p: it was."""
     begins, ends = _changes(t, gains)
     to, away = p * (1.0 - ends) + (1.0 - p) * begins, p * ends + (1.0 - p) * (1.0 - begins)
-    _mix(x, P, z, Z, p * ends / away if away > 0.0 else 0.0, (1.0 - p) * begins / to if to > 0.0 else 0.0)
+    mix(x, P, z, Z, p * ends / away if away > 0.0 else 0.0, (1.0 - p) * begins / to if to > 0.0 else 0.0)
     return to
 
 
 @kernel
-def _mix(x: Any, P: Any, z: Any, Z: Any, a: float, c: float) -> None:
-    """x, P becomes the mean and covariance of itself and a share a of z, Z; z, Z with a share c of x, P."""
-    for i in range(5):
-        for j in range(i + 1):
-            apart = (z[0, i] - x[0, i]) * (z[0, j] - x[0, j])
-            p, q = P[i, j], Z[i, j]
-            P[i, j] = p + a * (q - p) + a * (1.0 - a) * apart
-            Z[i, j] = q + c * (p - q) + c * (1.0 - c) * apart
-            P[j, i], Z[j, i] = P[i, j], Z[i, j]
-    for i in range(5):
-        d = z[0, i] - x[0, i]
-        x[0, i] += a * d
-        z[0, i] -= c * d
-
-
-@kernel
-def _merge(s: State, x: Any, P: Any) -> None:
-    """Mean x (1, 5) and covariance P (5, 5) of both motions together."""
-    z, Z = matrix(1, 5), matrix(5, 5)
-    _load(s, x, P, z, Z, 0.0)
-    _mix(x, P, z, Z, s.turning, 0.0)
-
-
-@kernel
-def _back(x: Any, P: Any, later: State, t: float, turning: bool, gains: Gains) -> None:
-    """x, P with what the `later` state of one motion knows; Rauch, Tung and Striebel."""
-    e, D, z, Z = matrix(1, 5), matrix(5, 5), matrix(1, 5), matrix(5, 5)
-    F, G, n, N = matrix(5, 5), matrix(5, 5), matrix(1, 5), matrix(5, 5)
-    _load(later, e, D, z, Z, gains.turn)
-    for i in range(5):
-        n[0, i] = x[0, i]
-        for j in range(5):
-            N[i, j] = P[i, j]
-    if turning:
-        go_round(n, N, F, G, t, gains.turning, gains.turn_rate)
-        _mix(e, D, z, Z, 1.0, 0.0)
-    else:
-        go_straight(n, N, F, G, t, gains.straight, gains.turn)
-    product(P, F, G)
-    if not cholesky(N, F):
-        return
-    for i in range(5):
-        e[0, i] -= n[0, i]
-        for j in range(5):
-            D[i, j] -= N[i, j]
-    look_back(x, P, G, e, D, F)
+def _looked_back(s: State, later: State, x: Any, P: Any, z: Any, Z: Any, t: float, gains: Gains) -> float:
+    """Probability of turning, x, P and z, Z of s with what `later` knows: each pair of motions, Kim 1994."""
+    e, D, f, E = matrix(1, 5), matrix(5, 5), matrix(1, 5), matrix(5, 5)
+    o, O, r, R = matrix(1, 5), matrix(5, 5), matrix(1, 5), matrix(5, 5)
+    p, q, (begins, ends) = s.turning, later.turning, _changes(t, gains)
+    to, away = p * (1.0 - ends) + (1.0 - p) * begins, p * ends + (1.0 - p) * (1.0 - begins)
+    begun = q * (1.0 - p) * begins / to if to > 0.0 else 0.0
+    ended = (1.0 - q) * p * ends / away if away > 0.0 else 0.0
+    now = min(max(q - begun + ended, 0.0), 1.0)
+    _load(s, x, P, z, Z, gains.turn)
+    _load(s, o, O, r, R, gains.turn)
+    _load(later, e, D, f, E, gains.turn)
+    back_straight(x, P, e, D, t, gains.straight, gains.turn)
+    back_straight(r, R, e, D, t, gains.straight, gains.turn)
+    back_round(o, O, f, E, t, gains.turning, gains.turn_rate)
+    back_round(z, Z, f, E, t, gains.turning, gains.turn_rate)
+    mix(x, P, o, O, begun / (1.0 - now) if now < 1.0 else 0.0, 0.0)
+    mix(z, Z, r, R, ended / now if now > 0.0 else 0.0, 0.0)
+    return now
 
 
 # ------------------------------------------------------------------ what comes after
+
+
+@kernel
+def _measured(
+    x: Any,
+    P: Any,
+    z: Any,
+    Z: Any,
+    O: Any,
+    M: Any,
+    y: Measurement,
+    p: float,
+    psi: float,
+    variance: float,
+    A: float,
+    age: float,
+    gains: Gains,
+) -> tuple[float, float, float, float]:
+    """Both motions corrected; how likely turning now is, yaw, its variance, acceleration. O, M: scratch."""
+    o, told = matrix(1, 5), gains.heading > 0.0 and pointed(y)
+    u, v = x[0, 2] + p * (z[0, 2] - x[0, 2]), x[0, 3] + p * (z[0, 3] - x[0, 3])
+    more = correct(z, Z, M, y, told, gains.l_r, gains) - correct(x, P, M, y, told, 0.0, gains)
+    p = p / (p + (1.0 - p) * exp(min(max(-more, -700.0), 700.0))) if p > 0.0 else 0.0
+    mean(x, P, z, Z, p, o, O)
+    if told:
+        r = heading_scatter(y, gains)
+        psi += variance / (variance + r) * wrap(y.heading - psi)
+        variance *= r / (variance + r)
+    front, variance = _facing(o, O, psi, variance, told, gains)
+    if cos(front - psi) < 0.0:  # it was taken for the rear
+        A = -A
+    chi = _course(o[0, 2], o[0, 3], front)
+    gained = (o[0, 2] - u) * cos(chi) + (o[0, 3] - v) * sin(chi)
+    return p, front, variance, A + (1.0 - exp(-age / gains.settle)) * (gained / age - A)
 
 
 @kernel
@@ -324,13 +302,11 @@ def _course(u: float, v: float, psi: float) -> float:
 
 
 @kernel
-def _facing(s: State, psi: float, variance: float, told: bool, gains: Gains) -> tuple[float, float]:
+def _facing(x: Any, P: Any, psi: float, variance: float, told: bool, gains: Gains) -> tuple[float, float]:
     """Yaw and its variance, of which psi and `variance` are known, from the velocity: course less slip.
 
     sin(slip) = l_r w / V on a circle. A front that is not known is where the body goes.
     """
-    x, P = matrix(1, 5), matrix(5, 5)
-    _merge(s, x, P)
     u, v, l = x[0, 2], x[0, 3], gains.l_r
     square = u * u + v * v
     if not square > 0.0:
@@ -344,7 +320,7 @@ def _facing(s: State, psi: float, variance: float, told: bool, gains: Gains) -> 
     most = sin(SLIP_MAX)
     beta = asin(min(max(l * x[0, 4] / V, -most), most)) if V * V > 1e-12 else 0.0
     gain = variance * square / (variance * square + across + l * l * P[4, 4])
-    return psi + gain * wrap(chi - beta - psi), max((1.0 - gain) * variance, FRESH)
+    return psi + gain * wrap(chi - beta - psi), (1.0 - gain) * variance
 
 
 # ------------------------------------------------------------------ state
@@ -361,6 +337,14 @@ def _load(s: State, x: Any, P: Any, z: Any, Z: Any, turn: float) -> None:
         x[0, i], z[0, i] = row[i], row[14 + i]
         P[i, 4], P[4, i] = 0.0, 0.0
     x[0, 4], P[4, 4] = 0.0, turn * turn
+
+
+@kernel
+def _mean_of(s: State, o: Any, O: Any) -> None:
+    """Mean (1, 5) and covariance (5, 5) of both motions together."""
+    x, P, z, Z = matrix(1, 5), matrix(5, 5), matrix(1, 5), matrix(5, 5)
+    _load(s, x, P, z, Z, 0.0)
+    mean(x, P, z, Z, s.turning, o, O)
 
 
 @kernel
@@ -381,16 +365,7 @@ def _state(
         row[i] = x[0, i]
     for i in range(5):
         row[14 + i] = z[0, i]
-    row[34] = turning
-    state: State = from_row(State, row)
-    return _told(state, psi, variance, A, age)
-
-
-@kernel
-def _told(s: State, psi: float, variance: float, A: float, age: float) -> State:
-    """The same motions, yaw and acceleration replaced."""
-    row = matrix(1, 39)[0]
-    to_row(s, row)
-    row[35], row[36], row[37], row[38] = wrap(psi), variance, min(max(A, -A_MAX), A_MAX), age
+    row[34], row[35], row[36] = turning, wrap(psi), variance
+    row[37], row[38] = min(max(A, -A_MAX), A_MAX), age
     state: State = from_row(State, row)
     return state

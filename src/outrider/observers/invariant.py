@@ -1,7 +1,7 @@
 """Invariant observer: constant gains in the frame of the course, in time along it, in arc length across it.
 
 Our own. An error seen from the vehicle evolves alike whatever its heading, so one set of gains serves all
-headings and one certificate (`_invariant_proof`) covers them. The equations are in docs/observers/invariant.md.
+headings and one certificate covers them (`_invariant_proof`). Equations: docs/observers/invariant.md.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from outrider.kernel import kernel, wrap
 from outrider.observers import Innovation, Measurement, Motion
+from outrider.observers._chain import Chain, impulse, placed
 from outrider.observers._measured import directed, heading_or, pointed, seen
 
 reference = (
@@ -22,7 +23,7 @@ reference = (
 SHAPE_ALONG, SHAPE_ACROSS = 0.8, 0.5  # damping of the pair of poles beside the real one [-]
 NOMINAL = 0.1, 10.0  # deviation of a position and speed at which `tau` and `arc` hold [m, m/s]
 NOMINAL_HEADING = 0.1  # deviation of a heading at which `turn` and `yaw` hold [rad]
-V_MAX, A_MAX, SLIP_MAX = 70.0, 100.0, pi / 9.0  # far beyond any vehicle [m/s, m/s2, rad]
+V_MAX, A_MAX, SLIP_MAX = 70.0, 100.0, pi / 6.0  # far beyond any vehicle [m/s, m/s2, rad]
 REVERSE = 4.0  # nothing reverses faster where no heading says so [m/s]
 GATE = 2.0  # a way shorter than this many standard deviations has no direction [-]
 CONTRARY = 3.0  # headings in a row that point backwards until the estimate is turned round
@@ -69,14 +70,6 @@ class Gains(NamedTuple):
     l_r: float = 2.0  # body centre to rear axle [m]
 
 
-class Chain(NamedTuple):
-    """Gains of one correction on offset, its rate and its second rate, each per step of the chain."""
-
-    p: float
-    v: float
-    a: float
-
-
 class Correction(NamedTuple):
     """Gains of one sample; those of a rate per second or per metre."""
 
@@ -86,36 +79,6 @@ class Correction(NamedTuple):
     course: float  # on the course [-]
     curvature: float  # on the curvature [1/m]
     yaw: float  # on the yaw [-]
-
-
-@kernel
-def symmetric(d: float, shape: float) -> Any:
-    """Elementary symmetric functions of the poles exp(-d), exp(-d (shape +- sqrt(shape^2 - 1)))."""
-    real, w = exp(-d), sqrt(abs(shape * shape - 1.0))
-    if shape < 1.0:
-        both, product = 2.0 * exp(-d * shape) * cos(d * w), exp(-2.0 * d * shape)
-    else:
-        both, product = exp(-d * (shape - w)) + exp(-d * (shape + w)), exp(-2.0 * d * shape)
-    return real + both, real * both + product, real * product
-
-
-@kernel
-def placed(d: float, shape: float, fade: float) -> Chain:
-    """Gains that give (I - L H) F the poles of `symmetric`, F a triple integrator over a unit step.
-
-    fade: the last component is multiplied by exp(-fade) meanwhile.
-    """
-    q1, q2, q3 = symmetric(d, shape)
-    f, g, half = exp(-fade), 1.0, 0.5
-    if fade > 1e-4:
-        g = -expm1(-fade) / fade
-        half = (1.0 - g) / fade
-    p = 2.0 + f - q1  # gains of the predictor F L, by comparing coefficients
-    a = (((f - q1) * f + q2) * f - q3) / (g * g)
-    v = q2 - f - (1.0 + f) * (1.0 - p) - a * half
-    a /= f
-    v -= g * a
-    return Chain(p - v - half * a, v, a)
 
 
 @kernel
@@ -204,18 +167,21 @@ def _corrected(
     """State after an innovation along and across [m], and that of the heading, of deviation sigma [rad]."""
     points = gains.heading > 0.0 and pointed(y)
     side = max(-1.0, min(1.0, 1.0 + 2.0 * s.V / gains.v0))  # in reverse the course turns the other way
-    left = 1.0 - L.course if points else 1.0  # what the heading tells the position need not
-    turned, bend = side * left * L.across.v * across, left * L.across.a * across
-    offset, yawed, contrary = L.across.p * across, gains.share * turned, s.contrary
+    e, left, contrary = 0.0, 1.0, s.contrary
     if points:
-        e = wrap(y.heading - s.chi + s.beta)
-        back = abs(e) > 0.5 * pi  # which axis the body has is told well, which end is its front not always
+        whole = wrap(y.heading - s.chi + s.beta)
+        back = (
+            abs(whole) > 0.5 * pi
+        )  # which axis the body has is told well, which end is its front not always
         contrary = contrary + 1.0 if back else 0.0
-        e = wrap(e + pi) if back else e
-        if gains.huber > 0.0:
-            e = min(max(e, -gains.huber * sigma), gains.huber * sigma)
-        turned, yawed = turned + L.course * e, yawed + L.yaw * e
-        bend, offset = bend + side * L.curvature * e, offset + side * L.offset * e
+        whole = wrap(whole + pi) if back else whole
+        most = gains.huber * sigma if gains.huber > 0.0 else inf
+        e = min(max(whole, -most), most)
+        left = 1.0 - L.course * (e / whole if e != whole else 1.0)  # what the heading leaves to the position
+    by_place = side * left * L.across.v * across
+    turned, yawed = by_place + L.course * e, gains.share * by_place + L.yaw * e
+    bend = left * L.across.a * across + side * L.curvature * e
+    offset = L.across.p * across + side * L.offset * e
     c, n = cos(s.chi), sin(s.chi)
     after = State(
         s.x + c * L.along.p * along - n * offset,
@@ -267,14 +233,14 @@ def smooth(state: State, later: State, dt: float, gains: Gains) -> State:
     speed = abs(later.V) + gains.v0
     ds, way = speed * dt, V * dt
     arc = gains.lag * gains.arc * (speed / NOMINAL[1]) ** (1.0 / 3.0)
-    jerk = _impulse(
+    jerk = impulse(
         c * dx + n * dy,
         (later.V - p.V) * dt,
         (later.A - p.A) * dt * dt,
         dt / gains.lag / gains.tau,
         SHAPE_ALONG,
     )
-    bend = _impulse(
+    bend = impulse(
         c * dy - n * dx, wrap(later.chi - p.chi) * way, (later.k - p.k) * way * way, ds / arc, SHAPE_ACROSS
     )
     m = _driven(later, -0.5 * dt, gains)
@@ -352,16 +318,6 @@ def _driven(s: State, dt: float, gains: Gains) -> State:
         s.run,
         s.contrary,
     )
-
-
-@kernel
-def _impulse(p: float, v: float, a: float, d: float, shape: float) -> float:
-    """Impulse on the last of three in the middle of a unit step that leaves them (p, v, a) off."""
-    q1, q2, q3 = symmetric(d, shape)
-    now, before, after = 1.0 - q3, 3.0 - q1, q2 - 3.0 * q3
-    p, v = p - 0.5 * v + 0.125 * a, v - 0.5 * a  # driven back to the middle
-    out: float = (before + after - 2.0 * now) * p + 0.5 * (after - before) * v + now * a
-    return out
 
 
 @kernel

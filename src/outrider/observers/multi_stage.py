@@ -13,6 +13,7 @@ from outrider.certificate import Certificate
 from outrider.kernel import kernel, rk4, wrap
 from outrider.observers import Innovation, Measurement, Motion
 from outrider.observers._measured import directed, heading_or, pointed, seen
+from outrider.observers._sampled import LEAST_DT
 
 reference = (
     "H. Alai and R. Rajamani, Multi-Stage Estimation Algorithm for Target Vehicle Trajectory Tracking with "
@@ -31,12 +32,12 @@ L_BETA = (  # L_z(2) [1/s]
     0.71, 0.74, 0.77, 0.79, 0.82, 0.85, 0.88, 0.89, 0.91, 0.92,
 )
 OUR_PSI = (  # the same from our own inequalities, all entries by one proof: docs/proofs.md [1/s]
-    0.9325, 1.075, 1.231, 1.487, 1.766, 2.045, 2.323, 2.602, 2.88, 3.159, 3.437,
-    3.715, 3.993, 4.271, 4.549, 4.827, 5.105, 5.383, 5.661, 5.939, 6.243,
+    0.9299, 1.075, 1.231, 1.487, 1.767, 2.045, 2.323, 2.602, 2.88, 3.159, 3.437,
+    3.716, 3.994, 4.273, 4.551, 4.83, 5.108, 5.387, 5.665, 5.942, 6.238,
 )
 OUR_BETA = (  # [1/s]
-    0.3402, 0.386, 0.3861, 0.4269, 0.4636, 0.505, 0.549, 0.5946, 0.6416, 0.6895, 0.738,
-    0.7869, 0.8363, 0.8861, 0.9362, 0.9866, 1.037, 1.088, 1.14, 1.192, 1.288,
+    0.3391, 0.3861, 0.3863, 0.4271, 0.4639, 0.5052, 0.5489, 0.5946, 0.6416, 0.6895, 0.7381,
+    0.7873, 0.837, 0.8871, 0.9375, 0.9882, 1.039, 1.09, 1.142, 1.193, 1.282,
 )
 # fmt: on
 
@@ -161,7 +162,8 @@ def step(state: State, previous: Measurement, measurement: Measurement, dt: floa
     psi0 = heading_or(before, heading_or(measurement, state.psi))
     turn = wrap(heading_or(measurement, psi0) - psi0)
     y = Output(0.0, chi + e, psi0, before.x, before.y)
-    rate = Output(way / dt, 0.0, turn / dt, dx / dt, dy / dt)
+    d = max(dt, LEAST_DT)
+    rate = Output(way / d, 0.0, turn / d, dx / d, dy / d)
     fastest = max(c.L_S, c.L_w, abs(c.L_psi + c.L_beta) + c.L_heading)
     s = rk4(rhs, state, y, rate, c, dt, min(max(ceil(2.0 * dt * fastest), 4), 1000))
     reverse = inf if c.L_heading > 0.0 else gains.reverse  # a heading in use says where the front is

@@ -1,6 +1,7 @@
 """Unscented Kalman filter on the kinematic bicycle, its path an exact arc; heading and Huber as options.
 
-The transform is written about the image of the mean, which keeps the covariance positive; docs/observers/ukf.md.
+The transform is written about the image of the mean, which keeps the covariance positive;
+docs/observers/ukf.md.
 """
 
 from __future__ import annotations
