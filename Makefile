@@ -22,7 +22,7 @@ PYTHON2ND = $(shell for p in $(PLACES); do $$p -c '$(OTHER)' 2>/dev/null && echo
 # The locked versions, into the environment that is named; never another Python than the one in it.
 SYNC = UV_PYTHON_DOWNLOADS=never UV_NO_PROGRESS=1 $(BIN)/uv sync --quiet --frozen --inexact
 
-.PHONY: help demo test lint types docs pytest pytest-second bench lock clean
+.PHONY: help demo test lint types docs pytest pytest-second bench accuracy lock clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 16
@@ -56,6 +56,9 @@ bench: $(FULL)  ## speed, beside peers; keeps JSON under benchmarks/results/
 	@mkdir -p benchmarks/results
 	$(BIN)/python -m pytest benchmarks -o addopts=-q -W default --benchmark-only --benchmark-columns=median,iqr,rounds \
 	  --benchmark-sort=name --benchmark-timer=time.process_time --benchmark-json=benchmarks/results/latest.json
+
+accuracy: $(FULL)  ## tune and judge all observers and peers on real tracks below OUTRIDER_DATA; 25 min
+	$(BIN)/python -m benchmarks.accuracy
 
 lock: $(FULL)  ## resolve the versions of uv.lock anew
 	$(BIN)/uv lock --upgrade --default-index https://pypi.org/simple

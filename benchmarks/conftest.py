@@ -68,6 +68,8 @@ def observer_lines(name):
     yield f"{name:<20}{step:9.3f} us a step"
     if (name, "C") in SPEED:
         yield told("x scalar C", SPEED[name, "C"], TIMES_C_EKF if ekf else TIMES_C)
+    else:
+        yield f"{'':<20}{'-':>9} x scalar C: not written in C, or no compiler here"
     for library, (title, goal) in PEERS.items():
         kind = name if (library, name) in SPEED else "kalman"
         if (library, kind) in SPEED:

@@ -1,8 +1,8 @@
 """One step of a filter as FilterPy and Stone Soup do it, on irregular time steps.
 
-`filterpy(kind)` and `stonesoup(kind)` give what it is and work(), which predicts and corrects once. The kind is
-our observer's where the library has it, with the model of the accuracy benchmark; else a Kalman filter of
-constant acceleration. Jacobians are given, measurements made beforehand: the time is the library's.
+`filterpy(kind)` and `stonesoup(kind)` give what it is and work(), which predicts and corrects once. The kind
+is our observer's where the library has it, with the model of the accuracy benchmark; else a Kalman filter
+of constant acceleration. Jacobians are given, measurements made beforehand: the time is the library's.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def samples() -> Iterator[tuple[float, Any]]:
 
 
 def accelerated(dt: float) -> tuple[Any, Any]:
-    """Transition and noise (6, 6) over dt [s] at constant acceleration: x, y, their first and second rates."""
+    """Transition and noise (6, 6) over dt [s] at constant acceleration: x, y, their first two rates."""
     g = np.array([0.5 * dt * dt, 0.5 * dt * dt, dt, dt, 1.0, 1.0])
     return I6 + dt * ONCE + 0.5 * dt * dt * TWICE, np.outer(g, g) * SAME_AXIS
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from benchmarks.accuracy import methods, pictures, report, table
+from benchmarks.accuracy import methods, pictures, report, table, tune
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "benchmarks" / "results" / "accuracy.json"
@@ -17,6 +17,7 @@ def main() -> None:
     parser.add_argument("--only", help="observers and peers, with commas; others stay as they were")
     parser.add_argument("--on", help=f"with commas, of: {', '.join([*table.TASKS, 'fixed'])}")
     parser.add_argument("--evaluations", type=int, default=table.BUDGET, help="of each search")
+    parser.add_argument("--seed", type=int, default=tune.SEED)
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument(
@@ -26,7 +27,7 @@ def main() -> None:
     names = given.only.split(",") if given.only else methods.names()
     tasks = given.on.split(",") if given.on else [*table.TASKS, "fixed"]
     if not given.draw:
-        table.run(names, tasks, given.results, given.workers, given.evaluations)
+        table.run(names, tasks, given.results, given.workers, given.evaluations, given.seed)
     rows = table.read(given.results)
     if given.results == RESULTS:
         report.write(rows, ROOT / "docs" / "comparison.md")

@@ -144,15 +144,16 @@ def _own(rows: Sequence[Row]) -> str:
 
 
 def _streets(rows: Sequence[Row]) -> str:
-    return _scores(by_label(tuned(rows, streets=True)))
+    return _scores(by_label(r for r in tuned(rows, streets=True) if r["variant"].startswith("heading")))
 
 
 def _fixed(rows: Sequence[Row]) -> str:
-    found = {}
-    for r in rows:
+    """Gains that observers come with; with the heading where these gains use it."""
+    cells: dict[str, dict[str, dict[str, Any]]] = {}
+    for r in sorted(rows, key=lambda r: (str(r["method"]), str(r["kind"]), str(r["variant"]))):
         if r["kind"] != "tuned":
-            found[f"{r['method']}, {r['kind']} gains, {r['variant']}"] = r["sets"]
-    return _scores(found)
+            cells.setdefault(f"{r['method']}, {r['kind']} gains", r["sets"])  # heading comes before position
+    return _scores(cells)
 
 
 def _details(rows: Sequence[Row]) -> str:
@@ -188,7 +189,8 @@ def _ranges(rows: Sequence[Row]) -> str:
             told = ("as position, and " if first and of else "as position" if first else "") + of + less
             cells = [method.label, str(len(method.ranges())), shown(times.get(method.label), ".3g"), told]
             lines.append(cells)
-    return grid(["", "gains tuned", "us a step", "from .. to"], lines)
+    head = ["", "gains tuned", "us a step", "from .. to"]
+    return folded("What is tuned, in which range, and what a step costs", grid(head, lines))
 
 
 def folded(title: str, text: str) -> str:
@@ -207,7 +209,7 @@ def _gains(task: str) -> Callable[[Sequence[Row]], str]:
             for r in rows
             if r["tuned_on"] == task and not r["lag"]
         ]
-        return grid(["", "J in training", "gains"], lines)
+        return folded(f"Gains tuned on {task}", grid(["", "J in training", "gains"], lines))
 
     return block
 

@@ -49,12 +49,17 @@ def budget(method: Method, task: str, whole: int = BUDGET, peer: int = PEER_BUDG
 
 
 def tuned_rows(
-    name: str, task: str, load: Loader = sets.load, whole: int = BUDGET, peer: int = PEER_BUDGET
+    name: str,
+    task: str,
+    load: Loader = sets.load,
+    whole: int = BUDGET,
+    peer: int = PEER_BUDGET,
+    seed: int = tune.SEED,
 ) -> Iterator[Row]:
     """Every variant of an observer or peer, tuned for a task and judged."""
     training = [load(s) for s in TASKS[task].training]
     for method in methods.searched(name):
-        found = tune.search(method, training, budget(method, task, whole, peer))
+        found = tune.search(method, training, budget(method, task, whole, peer), seed)
         gains = method.gains(found.values)
         for shown in (method, *methods.followers(method)):
             yield {
@@ -116,14 +121,19 @@ def key(row: Row) -> tuple[Any, ...]:
     return row["method"], row["variant"], row["lag"], row["kind"], row["tuned_on"]
 
 
-def _work(name: str, task: str, whole: int, peer: int) -> list[Row]:
+def _work(name: str, task: str, whole: int, peer: int, seed: int) -> list[Row]:
     if task == "fixed":
         return list(fixed_rows(name))
-    return list(tuned_rows(name, task, whole=whole, peer=peer))
+    return list(tuned_rows(name, task, whole=whole, peer=peer, seed=seed))
 
 
 def run(
-    names: Sequence[str], tasks: Sequence[str], file: Path, workers: int, whole: int = BUDGET
+    names: Sequence[str],
+    tasks: Sequence[str],
+    file: Path,
+    workers: int,
+    whole: int = BUDGET,
+    seed: int = tune.SEED,
 ) -> list[Row]:
     """Rows of all names and tasks, put into `file` beside those that it already holds."""
     rows = {key(r): r for r in read(file)}
@@ -135,13 +145,16 @@ def run(
         sets.load(s)  # before the workers would each track it
     begin, failed = time.monotonic(), []
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        pending = {pool.submit(_work, *job, whole, peer): job for job in jobs}
+        pending = {pool.submit(_work, *job, whole, peer, seed): job for job in jobs}
         for done, future in enumerate(as_completed(pending), 1):
             what, error = " ".join(pending[future]), future.exception()
             if error:
                 failed.append(f"{what}: {error!r}")
             else:
-                rows |= {key(r): r for r in future.result()}
+                fresh = future.result()
+                stale = {(r["method"], r["tuned_on"]) for r in fresh}
+                rows = {k: r for k, r in rows.items() if (r["method"], r["tuned_on"]) not in stale}
+                rows |= {key(r): r for r in fresh}
                 _write(file, list(rows.values()))
             print(f"{done}/{len(jobs)} {what}: {time.monotonic() - begin:.0f} s", flush=True)
     if failed:

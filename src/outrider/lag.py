@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from outrider import observers
 from outrider.book import Book
-from outrider.records import Array, Tracks
-from outrider.tracker import Engine
+from outrider.records import Array, Ints, Tracks, TrackState
+from outrider.tracker import MOVING, Engine
 
 Steps = tuple[tuple[float, Array], ...]  # time [s] and state (n_states,) of the observer, oldest first
 
@@ -38,13 +38,19 @@ def look_back(history: History, book: Book, tracks: Tracks, eng: Engine) -> tupl
         steps[int(book.id[i])] = known[-eng.lag - 1 :]
     scans = (*history.tracks, tracks)[-eng.lag - 1 :]
     after = History(scans, steps)
-    return after, _smoothed(scans[0], steps, eng) if len(scans) > eng.lag else None
+    moving = book.id[book.state == TrackState.CONFIRMED]
+    return after, _smoothed(scans[0], moving, steps, eng) if len(scans) > eng.lag else None
 
 
-def _smoothed(then: Tracks, steps: Mapping[int, Steps], eng: Engine) -> Tracks:
-    """The tracks with the motion that later steps give them, where there are any."""
+def _smoothed(then: Tracks, moving: Ints, steps: Mapping[int, Steps], eng: Engine) -> Tracks:
+    """The tracks with the motion that later steps give them, where there are any.
+
+    What is known to move now was moving then, though it may have been told as standing.
+    """
+    state = np.where(np.isin(then.id, moving), TrackState.CONFIRMED, then.state).astype(np.uint8)
     states, seen, rows = np.zeros((len(then.id), eng.n_states)), np.full(len(then.id), then.t), []
-    for row, track in enumerate(then.id.tolist()):
+    for row in np.flatnonzero(np.isin(state, MOVING)):
+        track = int(then.id[row])
         taken = [k for k, (t, _) in enumerate(steps.get(track, ())) if t <= then.t]
         if taken:
             times, past = zip(*steps[track][taken[-1] :], strict=True)
@@ -53,4 +59,4 @@ def _smoothed(then: Tracks, steps: Mapping[int, Steps], eng: Engine) -> Tracks:
             states[row] = observers.lagged(eng.observer, np.array([past]), dt[None], lag, eng.gains)[0, 0]
             seen[row] = times[0]
             rows.append(row)
-    return eng.tell(then, states, then.t - seen, np.array(rows, np.int64))
+    return eng.tell(replace(then, state=state), states, then.t - seen, np.array(rows, np.int64))

@@ -97,7 +97,6 @@ def judge(book: Book, rows: Ints, scan: Scan, earlier: tuple[Scan, ...], setting
     book.state[rows[ends]] = STATIC
     book.home[rows[ends]] = book.x[rows[ends], :2]
     book.state[(book.hits == 0) & (book.state == CONFIRMED)] = COASTING
-    book.observed[book.state == STATIC] = False
 
 
 def _confirm(book: Book, rows: Ints, settings: Settings) -> None:

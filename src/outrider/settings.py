@@ -90,7 +90,7 @@ class Track(Section, frozen=True):
 class Observer(Section, frozen=True):
     """Which observer, by name of its file in observers/, and gains that differ from its defaults."""
 
-    name: str = "multi_stage"  # file in observers/; NAME:GAINS for gains it names; +lagN: also N scans late
+    name: str = "ekf"  # file in observers/; NAME:GAINS for gains it names; +lagN: also N scans late
     gains: dict[str, dict[str, float]] = {}  # by observer: gain by name, where it differs from the default
 
 

@@ -16,6 +16,7 @@ from outrider.settings import Settings
 
 COURSE_SIGMA = 0.5  # pull of the course on the predictor's heading [rad]
 CALM = 0.3  # what stands is expected to accelerate by this share of what moves
+MOVING = (TrackState.CONFIRMED, TrackState.COASTING)  # what an observer is asked about
 HEADING_FLOOR = 0.05  # a fitted heading is never trusted more than this [rad]
 
 
@@ -241,20 +242,41 @@ def _learn(
 
 
 def _observe(book: Book, rows: Ints, previous: tuple[Array, Array], eng: Engine) -> None:
-    """Step the observer of every moving track that was seen; start it where it does not run yet."""
-    seen = rows[book.state[rows] == TrackState.CONFIRMED]
-    fresh, known = seen[~book.observed[seen]], seen[book.observed[seen]]
+    """Step the observer of every track that was seen, standing or not; start it where none runs.
+
+    One that keeps a covariance knows how little it knows, and starts at once; another one when the track is
+    known to move. One that runs backwards, now that it is known which end is the front, starts anew.
+    """
     z_before, seen_before = previous
-    dt = book.seen - seen_before
+    known = rows[book.observed[rows]]
+    velocity = book.x[:, 2:4].copy()
     if len(known):
-        eng.loops.step_all(book.obs, z_before, book.z, dt, eng.gains, known, book.obs)
-    if len(fresh):  # the way of the last third of a second by the predictor, which is sure that it moves
-        second, ago = book.z.copy(), np.full(len(book), 0.3)
-        second[fresh, 2:5] = 0.0
-        first = second.copy()
-        first[fresh, :2] -= 0.3 * book.x[fresh, 2:4]
-        eng.loops.start_all(first, second, ago, eng.gains, fresh, book.obs)
-        book.observed[fresh] = True
+        eng.loops.step_all(book.obs, z_before, book.z, book.seen - seen_before, eng.gains, known, book.obs)
+        motion = np.zeros((len(book), 8))
+        eng.loops.motion_all(book.obs, eng.gains, known, motion)
+        _, _, speed, _, course, yaw, _, _ = motion[known].T
+        velocity[known] = speed[:, None] * np.column_stack([np.cos(course), np.sin(course)])
+        backwards = np.abs(wrap(yaw - book.x[known, 4])) > 0.5 * np.pi
+        book.observed[known[backwards]] = False
+    early = hasattr(eng.observer, "spread")
+    fresh = rows[~book.observed[rows] & (early | (book.state[rows] == TrackState.CONFIRMED))]
+    if len(fresh):
+        _start(book, fresh, velocity[fresh], early, eng)
+
+
+def _start(book: Book, fresh: Ints, velocity: Array, early: bool, eng: Engine) -> None:
+    """Start observers from the way of the last third of a second, at a velocity (k, 2) [m/s].
+
+    How uncertain it is, is said of the way's beginning; nothing of it where the observer would not ask.
+    """
+    first, second, ago = book.z.copy(), book.z.copy(), np.full(len(book), 0.3)
+    first[fresh, :2] -= 0.3 * velocity
+    if early:
+        first[fresh, 2:5] = 0.09 * book.P[fresh][:, [2, 2, 3], [2, 3, 3]]
+    else:
+        first[fresh, 2:5], second[fresh, 2:5] = 0.0, 0.0
+    eng.loops.start_all(first, second, ago, eng.gains, fresh, book.obs)
+    book.observed[fresh] = True
 
 
 def estimate(book: Book, t: float, settings: Settings, eng: Engine) -> Tracks:
@@ -279,7 +301,7 @@ def estimate(book: Book, t: float, settings: Settings, eng: Engine) -> Tracks:
         hits=book.hits,
         age=t - book.born,
     )
-    running = np.flatnonzero(book.observed)
+    running = np.flatnonzero(book.observed & np.isin(book.state, MOVING))
     return eng.tell(resting, book.obs, t - book.seen, running)
 
 

@@ -11,7 +11,7 @@ from outrider.settings import Observer, Settings
 from outrider.threat import assess
 
 
-def compile_later_steps(observer: str = "multi_stage") -> None:
+def compile_later_steps(observer: str = Observer().name) -> None:
     """Compile what a scan meets after its rectangles are fitted, and leave it in the cache.
 
     Meant for a second process while the first one compiles the fit. Each loop is called once with arrays of

@@ -12,16 +12,16 @@ from typing import Any
 
 from outrider.kernel import kernel, matrix
 from outrider.observers import Innovation, Measurement
-from outrider.observers._bicycle import heading_scatter, scatter
-from outrider.observers._gaussian import cholesky, congruence, correct_two, look_back, product
+from outrider.observers._bicycle import heading_scatter, mirror, scatter
+from outrider.observers._gaussian import cholesky, correct_two, look_back, product
 from outrider.observers._measured import huber
 
 SLOWEST = 0.01  # variance of the speed across the rear axle, at least [m2/s2]
 
 
 @kernel
-def go_straight(x: Any, P: Any, F: Any, M: Any, t: float, q: float, turn: float) -> None:
-    """x, P after t [s] at constant velocity, F its Jacobian; M: scratch.
+def go_straight(x: Any, P: Any, F: Any, t: float, q: float, turn: float) -> None:
+    """x, P after t [s] at constant velocity, F its Jacobian.
 
     q: white noise on the acceleration [m/s2/sqrt(Hz)]. The turn rate is 0; that with which a turn would begin
     has the deviation `turn` [rad/s].
@@ -31,14 +31,14 @@ def go_straight(x: Any, P: Any, F: Any, M: Any, t: float, q: float, turn: float)
     x[0, 0] += t * x[0, 2]
     x[0, 1] += t * x[0, 3]
     x[0, 4] = 0.0
-    congruence(F, P, M)
+    _carry(F, P)
     _disturb(P, q * q, t**3 / 3.0, t * t / 2.0, 0.0, t)
     P[4, 4] += turn * turn
 
 
 @kernel
-def go_round(x: Any, P: Any, F: Any, M: Any, t: float, q: float, q_w: float) -> None:
-    """x, P after t [s] at constant speed and turn rate, F its Jacobian; M: scratch.
+def go_round(x: Any, P: Any, F: Any, t: float, q: float, q_w: float) -> None:
+    """x, P after t [s] at constant speed and turn rate, F its Jacobian.
 
     q: white noise on the acceleration [m/s2/sqrt(Hz)], q_w: on the turn rate's rate [rad/s2/sqrt(Hz)].
     """
@@ -58,9 +58,29 @@ def go_round(x: Any, P: Any, F: Any, M: Any, t: float, q: float, q_w: float) -> 
     F[2, 2], F[2, 3], F[2, 4] = c, -s, -t * v1
     F[3, 2], F[3, 3], F[3, 4] = s, c, t * u1
     x[0, 0], x[0, 1], x[0, 2], x[0, 3] = x[0, 0] + dx, x[0, 1] + dy, u1, v1
-    congruence(F, P, M)
+    _carry(F, P)
     _disturb(P, q * q, 2.0 * h, g, w * h, t)
     _swerve(P, q_w * q_w, t, -dy / t, dx / t, -v1, u1)
+
+
+@kernel
+def _carry(F: Any, P: Any) -> None:
+    """P <- F P F' for an F that lets x, y be and of w makes nothing but w."""
+    for j in range(5):
+        u, v, w = P[2, j], P[3, j], P[4, j]
+        P[0, j] += F[0, 2] * u + F[0, 3] * v + F[0, 4] * w
+        P[1, j] += F[1, 2] * u + F[1, 3] * v + F[1, 4] * w
+        P[2, j] = F[2, 2] * u + F[2, 3] * v + F[2, 4] * w
+        P[3, j] = F[3, 2] * u + F[3, 3] * v + F[3, 4] * w
+        P[4, j] = F[4, 4] * w
+    for i in range(5):
+        u, v, w = P[i, 2], P[i, 3], P[i, 4]
+        P[i, 0] += F[0, 2] * u + F[0, 3] * v + F[0, 4] * w
+        P[i, 1] += F[1, 2] * u + F[1, 3] * v + F[1, 4] * w
+        P[i, 2] = F[2, 2] * u + F[2, 3] * v + F[2, 4] * w
+        P[i, 3] = F[3, 2] * u + F[3, 3] * v + F[3, 4] * w
+        P[i, 4] = F[4, 4] * w
+    mirror(P)
 
 
 @kernel
@@ -118,9 +138,7 @@ def _swerve(P: Any, q: float, t: float, ex: float, ey: float, fx: float, fy: flo
     P[4, 2] += vw * fx
     P[4, 3] += vw * fy
     P[4, 4] += ww
-    for i in range(5):
-        for j in range(i):
-            P[j, i] = P[i, j]
+    mirror(P)
 
 
 @kernel
@@ -167,7 +185,7 @@ def back_straight(x: Any, P: Any, e: Any, D: Any, t: float, q: float, turn: floa
     """x, P with what is known of e, D, t [s] later, having gone straight; Rauch, Tung and Striebel."""
     n, N, F, G = matrix(1, 5), matrix(5, 5), matrix(5, 5), matrix(5, 5)
     _copy(x, P, n, N)
-    go_straight(n, N, F, G, t, q, turn)
+    go_straight(n, N, F, t, q, turn)
     _back(x, P, e, D, n, N, F, G)
 
 
@@ -176,7 +194,7 @@ def back_round(x: Any, P: Any, e: Any, D: Any, t: float, q: float, q_w: float) -
     """x, P with what is known of e, D, t [s] later, having turned; Rauch, Tung and Striebel."""
     n, N, F, G = matrix(1, 5), matrix(5, 5), matrix(5, 5), matrix(5, 5)
     _copy(x, P, n, N)
-    go_round(n, N, F, G, t, q, q_w)
+    go_round(n, N, F, t, q, q_w)
     _back(x, P, e, D, n, N, F, G)
 
 
@@ -231,9 +249,10 @@ def correct(x: Any, P: Any, G: Any, y: Measurement, told: bool, l_r: float, gain
     if 0.0 < gains.huber * gains.huber < far:
         S *= sqrt(far) / gains.huber
     for i in range(5):
-        x[0, i] += G[i, 0] * e / S
+        k = G[i, 0] / S
+        x[0, i] += k * e
         for j in range(i + 1):
-            P[i, j] -= G[i, 0] * G[j, 0] / S
+            P[i, j] -= k * G[j, 0]
             P[j, i] = P[i, j]
     return likely
 

@@ -138,8 +138,8 @@ def step(state: State, previous: Measurement, measurement: Measurement, dt: floa
     for _ in range(n):
         w = p * z[0, 4]
         p = _mixed(p, x, P, z, Z, t / n, gains)
-        go_straight(x, P, F, M, t / n, gains.straight, gains.turn)
-        go_round(z, Z, F, M, t / n, gains.turning, gains.turn_rate)
+        go_straight(x, P, F, t / n, gains.straight, gains.turn)
+        go_round(z, Z, F, t / n, gains.turning, gains.turn_rate)
         psi += 0.5 * t / n * (w + p * z[0, 4])
     A, age = state.A * exp(-t / gains.settle), min(state.age + t, LONGEST)
     variance = min(max(state.psi_psi, FRESH) + DRIFT**2 * t, 3.0)
@@ -288,7 +288,7 @@ def _measured(
         A = -A
     chi = _course(o[0, 2], o[0, 3], front)
     gained = (o[0, 2] - u) * cos(chi) + (o[0, 3] - v) * sin(chi)
-    return p, front, variance, A + (1.0 - exp(-age / gains.settle)) * (gained / age - A)
+    return p, front, variance, A + (1.0 - exp(-age / gains.settle)) * gained / age
 
 
 @kernel

@@ -102,12 +102,12 @@ def step(state: State, previous: Measurement, measurement: Measurement, dt: floa
     """Prediction over dt [s], then the correction by the position and the heading of the rectangle."""
     if not 0.0 < dt < inf:
         return state
-    x, P, L, G, y = matrix(1, 6), matrix(6, 6), matrix(6, 6), matrix(6, 6), measurement
+    x, P, L, D, y = matrix(1, 6), matrix(6, 6), matrix(6, 6), matrix(8, 6), measurement
     _load(state, x, P)
-    _advance(x, P, L, G, dt, gains)
+    _advance(x, P, L, D, dt, gains)
     told = gains.heading > 0.0 and pointed(y)
     if seen(y):
-        _correct(x, P, G, y, gains)
+        _correct(x, P, L, y, gains)
         if told:
             e, r = wrap(y.heading - x[0, 4]), heading_scatter(y, gains)
             s = P[4, 4] + r
@@ -154,7 +154,7 @@ def smooth(state: State, later: State, dt: float, gains: Gains) -> State:
     """State with what `later`, dt [s] after it, knows; unscented Rauch-Tung-Striebel step, Sarkka 2008."""
     if not 0.0 < dt < inf:
         return later
-    x, P, L, G = matrix(1, 6), matrix(6, 6), matrix(6, 6), matrix(6, 6)
+    x, P, L, G, points = matrix(1, 6), matrix(6, 6), matrix(6, 6), matrix(6, 6), matrix(8, 6)
     e, D, x1, P1 = matrix(1, 6), matrix(6, 6), matrix(1, 6), matrix(6, 6)
     _load(state, x, P)
     _load(later, e, D)
@@ -164,7 +164,8 @@ def smooth(state: State, later: State, dt: float, gains: Gains) -> State:
         x1[0, i] = x[0, i]
         for j in range(6):
             P1[i, j] = P[i, j]
-    _advance(x1, P1, L, G, dt, gains)
+    _advance(x1, P1, L, points, dt, gains)
+    _between(L, points, gains, G)
     _root(P1, L)
     for i in range(6):
         e[0, i] -= x1[0, i]
@@ -177,23 +178,23 @@ def smooth(state: State, later: State, dt: float, gains: Gains) -> State:
 
 
 def certificate() -> None:
-    """None: a filter whose gains depend on its estimate has no proof of this kind."""
+    """None: the gain depends on the estimate, and nothing proves that it converges from everywhere."""
 
 
 # ------------------------------------------------------------------ the filter's two halves
 
 
 @kernel
-def _advance(x: Any, P: Any, L: Any, G: Any, dt: float, gains: Gains) -> None:
-    """Scaled unscented transform of x, P over dt [s], noise added; G (6, 6): covariance of before and after.
+def _advance(x: Any, P: Any, L: Any, D: Any, dt: float, gains: Gains) -> None:
+    """Scaled unscented transform of x, P over dt [s], noise added; L (6, 6), D (8, 6): factor of P, images.
 
     With d the images of the points less that of the mean, w their weight and b = w sum(d): the covariance is
     w sum(d d') and, where the mean is that of the images, (beta - alpha^2) b b' more: the usual sums without
     a negative weight. The factor L has x and y last: so turning the world turns the points, and the last two
     pairs are only shifted, their images known. Where the vehicle stops, all points lose the same.
     """
-    D, b = matrix(8, 6), matrix(1, 6)
-    _points(P, G, L)
+    b = matrix(1, 6)
+    _points(P, L)
     t, out = min(dt, LONGEST), gains.alpha**2 * (6.0 + gains.kappa)
     w, r = 0.5 / out, sqrt(out)
     a, v, s = fade(t, gains.coast)
@@ -209,7 +210,7 @@ def _advance(x: Any, P: Any, L: Any, G: Any, dt: float, gains: Gains) -> None:
         for j in range(6):
             b[0, j] += w * D[k, j]
     m = 1.0 if gains.mean > 0.0 else 0.0
-    _sums(P, L, G, D, b, w, r, m * (gains.beta - gains.alpha**2))
+    _sum(P, L, D, b, w, m * (gains.beta - gains.alpha**2))
     x[0, 0] += dx + m * b[0, 0]
     x[0, 1] += dy + m * b[0, 1]
     x[0, 4] = wrap(psi + turn + m * b[0, 4])
@@ -218,22 +219,28 @@ def _advance(x: Any, P: Any, L: Any, G: Any, dt: float, gains: Gains) -> None:
 
 
 @kernel
-def _points(P: Any, M: Any, L: Any) -> None:
-    """Factor L (6, 6) of P in the order V, A, psi, beta, x, y; M (6, 6): scratch."""
-    for i in range(6):
-        for j in range(6):
-            M[i, j] = P[(i + 2) % 6, (j + 2) % 6]
+def _points(P: Any, L: Any) -> None:
+    """Factor L (6, 6) of P in the order V, A, psi, beta, x, y."""
+    M = matrix(6, 6)
+    for i in range(4):
+        for j in range(i + 1):
+            M[i, j] = P[i + 2, j + 2]
+    for i in range(2):
+        for j in range(4):
+            M[i + 4, j] = P[i, j + 2]
+        for j in range(i + 1):
+            M[i + 4, j + 4] = P[i, j]
     _root(M, L)
 
 
 @kernel
 def _root(P: Any, L: Any) -> None:
-    """Cholesky factor L of P (6, 6); of its variances alone where rounding has made P not positive."""
-    if not cholesky(P, L):
+    """Cholesky factor L of P (6, 6), P made a little larger where rounding has left it without one."""
+    larger = 1e-12
+    while not cholesky(P, L) and larger < 1e12:
         for i in range(6):
-            for j in range(i):
-                L[i, j] = 0.0
-            L[i, i] = sqrt(max(P[i, i], 1e-12))
+            P[i, i] += larger * (1.0 + P[i, i])
+        larger *= 100.0
 
 
 @kernel
@@ -246,23 +253,33 @@ def _arc(psi: float, beta: float, way: float, l_r: float) -> tuple[float, float,
 
 
 @kernel
-def _sums(P: Any, L: Any, G: Any, D: Any, b: Any, w: float, r: float, bb: float) -> None:
-    """P and G of the points +-r L, their images D (8, 6) and shifted last ones, weight w, mean image b."""
+def _sum(P: Any, L: Any, D: Any, b: Any, w: float, bb: float) -> None:
+    """Lower half of P from images D (8, 6) of weight w, the shifted ones, and bb times the square of b."""
     for i in range(6):
-        m = (i + 4) % 6  # row of L
-        for j in range(6):
-            total = 0.0
-            for k in range(min(m + 1, 4)):
-                total += L[m, k] * (D[k, j] - D[k + 4, j])
-            G[i, j] = w * r * total
         for j in range(i + 1):
             total = 0.0
             for k in range(8):
                 total += D[k, i] * D[k, j]
             P[i, j] = w * total + bb * b[0, i] * b[0, j]
-    xx, yx, yy = L[4, 4] ** 2, L[5, 4] * L[4, 4], L[5, 4] ** 2 + L[5, 5] ** 2
-    P[0, 0], P[1, 0], P[1, 1] = P[0, 0] + xx, P[1, 0] + yx, P[1, 1] + yy
-    G[0, 0], G[1, 0], G[0, 1], G[1, 1] = G[0, 0] + xx, G[1, 0] + yx, G[0, 1] + yx, G[1, 1] + yy
+    P[0, 0] += L[4, 4] ** 2
+    P[1, 0] += L[5, 4] * L[4, 4]
+    P[1, 1] += L[5, 4] ** 2 + L[5, 5] ** 2
+
+
+@kernel
+def _between(L: Any, D: Any, gains: Gains, G: Any) -> None:
+    """G (6, 6): covariance of what was and of what it becomes."""
+    w = 0.5 / sqrt(gains.alpha**2 * (6.0 + gains.kappa))
+    for i in range(6):
+        row = (i + 4) % 6
+        for j in range(6):
+            total = 0.0
+            for k in range(min(row + 1, 4)):
+                total += L[row, k] * (D[k, j] - D[k + 4, j])
+            G[i, j] = w * total
+    for i in range(2):
+        for j in range(2):
+            G[i, j] += L[4 + i, 4] * L[4 + j, 4] + L[4 + i, 5] * L[4 + j, 5]
 
 
 @kernel
