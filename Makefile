@@ -22,6 +22,8 @@ PYTHON2ND = $(shell for p in $(PLACES); do $$p -c '$(OTHER)' 2>/dev/null && echo
 # The locked versions, into the environment that is named; never another Python than the one in it.
 SYNC = UV_PYTHON_DOWNLOADS=never UV_NO_PROGRESS=1 $(BIN)/uv sync --quiet --frozen --inexact
 
+CHECKS = pytest pytest-second lint types docs
+
 .PHONY: help demo test lint types docs pytest pytest-second bench accuracy lock clean
 
 help:  ## this list
@@ -30,7 +32,8 @@ help:  ## this list
 demo: $(CORE)  ## set up and show a scooter at a crossing
 	$(BIN)/outrider demo --force
 
-test: lint types docs pytest-second pytest  ## set up and run all checks
+test: $(FULL)  ## set up and run all checks, two at a time
+	@$(MAKE) --no-print-directory -j2 $(if $(filter output-sync,$(.FEATURES)),--output-sync=target) $(CHECKS)
 
 lint: $(FULL)  ## layout and lint
 	$(BIN)/ruff format --check .

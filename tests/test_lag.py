@@ -36,10 +36,27 @@ def test_each_frame_tells_the_scan_two_scans_ago_once_more(frames):
     assert all(frame.lagged is None for frame in frames[:LAG])
     for then, now in zip(frames[:-LAG], frames[LAG:], strict=True):
         assert now.lagged.t == then.t
-        for name in ("id", "state", "extent", "hits", "age"):
+        for name in ("id", "extent", "hits", "age"):
             np.testing.assert_array_equal(getattr(now.lagged, name), getattr(then.tracks, name))
-        still = then.tracks.state == TrackState.STATIC
+        moves = np.isin(then.tracks.id, now.tracks.id[now.tracks.state == TrackState.CONFIRMED])
+        np.testing.assert_array_equal(now.lagged.state[~moves], then.tracks.state[~moves])
+        still = now.lagged.state == TrackState.STATIC
         np.testing.assert_array_equal(now.lagged.W_p[still], then.tracks.W_p[still])
+
+
+def test_what_moves_now_moved_before_it_was_told(frames):
+    """A body that drove into view is known as moving LAG scans sooner, with a speed that is near the truth."""
+    told = {i for f in frames for i in f.tracks.id[f.tracks.state == TrackState.CONFIRMED].tolist()}
+    assert told
+    for track in told:
+        first = next(
+            k for k, f in enumerate(frames) if track in f.tracks.id[f.tracks.state == TrackState.CONFIRMED]
+        )
+        lagged = frames[first].lagged
+        i = np.flatnonzero(lagged.id == track)
+        if len(i):
+            assert lagged.state[i] == TrackState.CONFIRMED
+            assert lagged.speed[i] > 0.5 * frames[first].tracks.speed[frames[first].tracks.id == track]
 
 
 def test_looking_back_is_nearer_to_the_truth(frames):

@@ -41,6 +41,7 @@ def demo(
     from outrider.cli.warm import compiling_beside
     from outrider.errors import OutputError
     from outrider.records import Pose
+    from outrider.settings import Observer
 
     world = simulate.load("demo")
     try:
@@ -50,7 +51,7 @@ def demo(
             f"{output}: cannot be made ({error.strerror}); name another folder with -o"
         ) from error
     recording = output / "recording.mcap"
-    with compiling_beside("multi_stage"):
+    with compiling_beside(Observer().name):
         messages = list(simulate.record(world))
         io.write_recording(recording, messages, force)
         teller = None if json else Teller(world.title, simulate.EPOCH_NS * 1e-9)

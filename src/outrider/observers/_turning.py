@@ -11,10 +11,9 @@ from math import cos, log, sin, sqrt
 from typing import Any
 
 from outrider.kernel import kernel, matrix
-from outrider.observers import Innovation, Measurement
+from outrider.observers import Measurement
 from outrider.observers._bicycle import heading_scatter, mirror, scatter
 from outrider.observers._gaussian import cholesky, correct_two, look_back, product
-from outrider.observers._measured import huber
 
 SLOWEST = 0.01  # variance of the speed across the rear axle, at least [m2/s2]
 
@@ -233,11 +232,12 @@ def correct(x: Any, P: Any, G: Any, y: Measurement, told: bool, l_r: float, gain
     for i in range(5):
         G[i, 0], G[i, 1] = P[i, 0], P[i, 1]
     xx, xy, yy = scatter(y, gains)
-    i2 = Innovation(y.x - x[0, 0], y.y - x[0, 1], xx + P[0, 0], xy + P[1, 0], yy + P[1, 1])
-    w, det = huber(i2, gains.huber), i2.xx * i2.yy - i2.xy * i2.xy
-    far = (i2.yy * i2.x * i2.x - 2.0 * i2.xy * i2.x * i2.y + i2.xx * i2.y * i2.y) / det
+    xx, xy, yy, ex, ey = xx + P[0, 0], xy + P[1, 0], yy + P[1, 1], y.x - x[0, 0], y.y - x[0, 1]
+    det = xx * yy - xy * xy
+    far = (yy * ex * ex - 2.0 * xy * ex * ey + xx * ey * ey) / det
     likely: float = -0.5 * log(det) - _loss(far, gains.huber)
-    correct_two(x, P, G, (i2.x, i2.y), (i2.xx / w, i2.xy / w, i2.yy / w))
+    more = _more(far, gains.huber)
+    correct_two(x, P, G, (ex, ey), (xx * more, xy * more, yy * more))
     if not told:
         return likely
     for i in range(5):
@@ -246,8 +246,7 @@ def correct(x: Any, P: Any, G: Any, y: Measurement, told: bool, l_r: float, gain
     e = s * x[0, 2] - c * x[0, 3] + l_r * x[0, 4]
     far = e * e / S
     likely -= 0.5 * log(S) + _loss(far, gains.huber)
-    if 0.0 < gains.huber * gains.huber < far:
-        S *= sqrt(far) / gains.huber
+    S *= _more(far, gains.huber)
     for i in range(5):
         k = G[i, 0] / S
         x[0, i] += k * e
@@ -261,3 +260,9 @@ def correct(x: Any, P: Any, G: Any, y: Measurement, told: bool, l_r: float, gain
 def _loss(square: float, k: float) -> float:
     """Half a squared innovation in standard deviations; beyond k, if k > 0, Huber's straight line."""
     return k * sqrt(square) - 0.5 * k * k if 0.0 < k * k < square else 0.5 * square
+
+
+@kernel
+def _more(square: float, k: float) -> float:
+    """What an innovation's covariance is multiplied by: deviations / k beyond k, if k > 0, else 1."""
+    return sqrt(square) / k if 0.0 < k * k < square else 1.0

@@ -6,7 +6,7 @@ docs/observers/imm.md.
 
 from __future__ import annotations
 
-from math import asin, atan2, ceil, cos, exp, inf, pi, sin
+from math import asin, atan2, ceil, cos, exp, inf, pi, sin, sqrt
 from typing import Any, NamedTuple
 
 from outrider.kernel import from_row, kernel, matrix, to_row, wrap
@@ -24,6 +24,7 @@ reference = (
 LONGEST = 60.0  # nothing is predicted further than this [s]
 LEAP = 0.2  # the motions mix at least this often [s]
 WIDEST = (1e6, 1e6, V_MAX**2, V_MAX**2, 10.0)  # variances at most
+MOST_SLIP = sin(SLIP_MAX)
 W_MAX, A_MAX = 10.0, 100.0  # far beyond any vehicle: only keep numbers finite [rad/s, m/s2]
 A_START = 3.0  # deviation of what acceleration there is at the start [m/s2]
 GATE = 2.0  # standard deviations a way must be long to have a direction [-]
@@ -135,12 +136,13 @@ def step(state: State, previous: Measurement, measurement: Measurement, dt: floa
     F, M, t, y = matrix(5, 5), matrix(5, 5), min(dt, LONGEST), measurement
     _load(state, x, P, z, Z, gains.turn)
     p, psi, n = state.turning, state.psi, ceil(t / LEAP)
+    h = t / n
     for _ in range(n):
         w = p * z[0, 4]
-        p = _mixed(p, x, P, z, Z, t / n, gains)
-        go_straight(x, P, F, t / n, gains.straight, gains.turn)
-        go_round(z, Z, F, t / n, gains.turning, gains.turn_rate)
-        psi += 0.5 * t / n * (w + p * z[0, 4])
+        p = _mixed(p, x, P, z, Z, h, gains)
+        go_straight(x, P, F, h, gains.straight, gains.turn)
+        go_round(z, Z, F, h, gains.turning, gains.turn_rate)
+        psi += 0.5 * h * (w + p * z[0, 4])
     A, age = state.A * exp(-t / gains.settle), min(state.age + t, LONGEST)
     variance = min(max(state.psi_psi, FRESH) + DRIFT**2 * t, 3.0)
     if seen(y):
@@ -161,10 +163,10 @@ def motion(state: State, gains: Gains) -> Motion:
     """The mean of both motions in common terms."""
     x, P = matrix(1, 5), matrix(5, 5)
     _mean_of(state, x, P)
-    u, v = x[0, 2], x[0, 3]
-    chi = _course(u, v, state.psi)
-    speed = u * cos(chi) + v * sin(chi)
-    return Motion(x[0, 0], x[0, 1], speed, state.A, chi, state.psi, wrap(chi - state.psi), x[0, 4])
+    u, v, psi = x[0, 2], x[0, 3], state.psi
+    V = _speed(u, v, psi)
+    chi = wrap(atan2(v, u) + (pi if V < 0.0 else 0.0)) if V * V > 0.0 else psi
+    return Motion(x[0, 0], x[0, 1], V, state.A, chi, psi, wrap(chi - psi), x[0, 4])
 
 
 @kernel
@@ -200,8 +202,7 @@ def smooth(state: State, later: State, dt: float, gains: Gains) -> State:
     K = state.psi_psi / then
     psi += K * wrap(later.psi - 0.5 * t * (o[0, 4] + n[0, 4]) - psi)
     variance = state.psi_psi + K * K * (later.psi_psi - then)
-    chi = _course(n[0, 2], n[0, 3], later.psi)
-    gained = (n[0, 2] - o[0, 2]) * cos(chi) + (n[0, 3] - o[0, 3]) * sin(chi)
+    gained = _gained(o[0, 2], o[0, 3], n[0, 2], n[0, 3], later.psi)
     A += (1.0 - exp(-t / gains.settle)) * (gained / t - A)
     return _state(x, P, z, Z, p, psi, variance, A, state.age)
 
@@ -286,19 +287,22 @@ def _measured(
     front, variance = _facing(o, O, psi, variance, told, gains)
     if cos(front - psi) < 0.0:  # it was taken for the rear
         A = -A
-    chi = _course(o[0, 2], o[0, 3], front)
-    gained = (o[0, 2] - u) * cos(chi) + (o[0, 3] - v) * sin(chi)
+    gained = _gained(u, v, o[0, 2], o[0, 3], front)
     return p, front, variance, A + (1.0 - exp(-age / gains.settle)) * gained / age
 
 
 @kernel
-def _course(u: float, v: float, psi: float) -> float:
-    """The way of a velocity (u, v), or the opposite one where that is nearer to the yaw."""
-    if not u * u + v * v > 0.0:
-        return psi
-    chi = atan2(v, u)
-    course: float = wrap(chi if cos(chi - psi) >= 0.0 else chi + pi)
-    return course
+def _speed(u: float, v: float, psi: float) -> float:
+    """Length of the velocity (u, v), negative where it is against the yaw."""
+    V = sqrt(u * u + v * v)
+    return V if u * cos(psi) + v * sin(psi) >= 0.0 else -V
+
+
+@kernel
+def _gained(u0: float, v0: float, u: float, v: float, psi: float) -> float:
+    """By how much the velocity has grown along the course of (u, v)."""
+    V = _speed(u, v, psi)
+    return ((u - u0) * u + (v - v0) * v) / V if V * V > 0.0 else 0.0
 
 
 @kernel
@@ -307,18 +311,16 @@ def _facing(x: Any, P: Any, psi: float, variance: float, told: bool, gains: Gain
 
     sin(slip) = l_r w / V on a circle. A front that is not known is where the body goes.
     """
-    u, v, l = x[0, 2], x[0, 3], gains.l_r
-    square = u * u + v * v
-    if not square > 0.0:
+    u, v, l, V = x[0, 2], x[0, 3], gains.l_r, _speed(x[0, 2], x[0, 3], psi)
+    square = V * V
+    if not square > 1e-12:
         return psi, variance
     across = (P[2, 2] * v * v - 2.0 * P[3, 2] * u * v + P[3, 3] * u * u) / square
     unknown = variance > PSI_KNOWN**2 and square > GATE * GATE * across
-    if not told and u * cos(psi) + v * sin(psi) < 0.0 and (unknown or square > gains.reverse**2):
-        psi += pi
-    chi = _course(u, v, psi)
-    V = u * cos(chi) + v * sin(chi)
-    most = sin(SLIP_MAX)
-    beta = asin(min(max(l * x[0, 4] / V, -most), most)) if V * V > 1e-12 else 0.0
+    if V < 0.0 and not told and (unknown or square > gains.reverse**2):
+        psi, V = psi + pi, -V
+    chi = atan2(v, u) + (pi if V < 0.0 else 0.0)
+    beta = asin(min(max(l * x[0, 4] / V, -MOST_SLIP), MOST_SLIP))
     gain = variance * square / (variance * square + across + l * l * P[4, 4])
     return psi + gain * wrap(chi - beta - psi), (1.0 - gain) * variance
 
