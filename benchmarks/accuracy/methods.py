@@ -83,7 +83,7 @@ TUNED: Mapping[str, Mapping[str, Range]] = {
         "stay": (0.003, 0.3),
     },
     "stonesoup_turn": {"noise": (0.01, 1.0), "acceleration": (0.01, 400.0), "turn": (0.001, 100.0)},
-    "stonesoup_acceleration": {"noise": (0.01, 1.0), "jerk": (0.1, 4000.0)},
+    "stonesoup_acceleration": {"noise": (0.01, 1.0), "jerk": (0.1, 1e6)},
 }
 # What a part of a variant adds to that, where the observer has it.
 PARTS: Mapping[str, Mapping[str, Range]] = {

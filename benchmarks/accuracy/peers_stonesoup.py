@@ -79,11 +79,14 @@ def _filtered(
     xs[first.index], Ps[first.index] = _taken(state, kept)
     for k, dt, z, R in samples(series, first.index, noise, inf):
         stamp += timedelta(seconds=dt)
-        state = predictor.predict(state, timestamp=stamp)
-        if z is not None:
-            sensor = LinearGaussian(len(x), seen, R)
-            detection = Detection(z[:, None], timestamp=stamp, measurement_model=sensor)
-            state = updater.update(SingleHypothesis(state, detection))
+        try:
+            state = predictor.predict(state, timestamp=stamp)
+            if z is not None:
+                sensor = LinearGaussian(len(x), seen, R)
+                detection = Detection(z[:, None], timestamp=stamp, measurement_model=sensor)
+                state = updater.update(SingleHypothesis(state, detection))
+        except np.linalg.LinAlgError:  # numbers beyond bounds: the library stops here
+            break
         xs[k], Ps[k] = _taken(state, kept)
     return from_velocity(series, xs, Ps, first.heading)
 
