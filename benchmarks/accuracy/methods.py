@@ -75,6 +75,7 @@ TUNED: Mapping[str, Mapping[str, Range]] = {
         **AXLE,
     },
     "filterpy_ekf": KALMAN,
+    "filterpy_ukf": KALMAN,
     "filterpy_imm": {
         "noise": (0.01, 1.0),
         "straight": (0.1, 20.0),
@@ -100,7 +101,6 @@ HEADING_GAIN: Mapping[str, Mapping[str, Range]] = {
     "invariant": {"turn": (0.5, 40.0), "yaw": (0.01, 1.0), "heading_noise": (0.003, 0.5)},
 }  # where the heading needs more than its noise
 VARIANTS = ("position", "position, Huber", "heading", "heading, Huber", "heading, Huber, hop")
-SAME_GAINS = {"filterpy_ukf": "filterpy_ekf"}  # the same model: not tuned again
 PEERS = peers.NAMES
 NO_HEADING = ("filterpy_imm", "stonesoup_turn", "stonesoup_acceleration")
 
@@ -131,7 +131,7 @@ class Method:
 
     def ranges(self) -> dict[str, Range]:
         """What the search may change."""
-        known = dict(TUNED[SAME_GAINS.get(self.name, self.name)])
+        known = dict(TUNED[self.name])
         for part in self.variant.split(", "):
             more = HEADING_GAIN.get(self.name) if part == "heading" else None
             known |= more or PARTS.get(part, {})
@@ -216,9 +216,12 @@ def searched(name: str) -> Iterator[Method]:
 
 def followers(method: Method) -> Iterator[Method]:
     """What else is judged with the gains found for a method: the same, known some samples later."""
-    if method.peer:
-        yield from (replace(method, name=n) for n, like in SAME_GAINS.items() if like == method.name)
-    elif hasattr(method._module(), "smooth") and method.heading and "hop" not in method.variant:
+    if (
+        not method.peer
+        and hasattr(method._module(), "smooth")
+        and method.heading
+        and "hop" not in method.variant
+    ):
         yield replace(method, lag=LAG)
 
 

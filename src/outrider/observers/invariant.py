@@ -222,7 +222,7 @@ def smooth(state: State, later: State, dt: float, gains: Gains) -> State:
     """State with what `later`, dt [s] after it, knows: driven back from it, without what came new.
 
     A steady Rauch-Tung-Striebel smoother has the poles of its filter, which fixes its gains: what came new is
-    an impulse of jerk and one of turning half way.
+    an impulse of jerk and one of turning half way. The yaw keeps what its own step knew of it.
     """
     if not 0.0 < dt < inf:
         return state
@@ -247,7 +247,10 @@ def smooth(state: State, later: State, dt: float, gains: Gains) -> State:
     jerk, bend = jerk / (dt * dt), bend / (ds * ds)
     m = State(m.x, m.y, m.chi, m.V, m.A - jerk, m.k - bend, m.beta, m.age, m.blind, m.run, m.contrary)
     b = _driven(m, -0.5 * dt, gains)
-    s = State(b.x, b.y, b.chi, b.V, b.A, b.k, b.beta, state.age, state.blind, state.run, state.contrary)
+    g = exp(-dt / gains.yaw)
+    yaw = state.chi - state.beta + g * wrap(later.chi - later.beta - p.chi + p.beta)
+    beta = wrap(b.chi - yaw)
+    s = State(b.x, b.y, b.chi, b.V, b.A, b.k, beta, state.age, state.blind, state.run, state.contrary)
     return _limited(s, gains)
 
 
