@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 
 
 def names() -> list[str]:
-    """Observers that are written in C here."""
+    """Observers that are written in C here; what they share is in common.h."""
     return sorted(path.stem for path in HERE.glob("*.c"))
 
 

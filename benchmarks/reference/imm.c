@@ -1,20 +1,8 @@
 /* The interacting multiple models of observers/imm.py in plain scalar C, to measure their speed against. */
-#include <math.h>
+#define SIZE 5
+#include "common.h"
 
-#define PI 3.141592653589793
-#define TAU 6.283185307179586
-#define SLIP_MAX (PI / 9.0)
-#define FAR 1e8
-#define V_MAX 70.0
 #define W_MAX 10.0
-#define A_MAX 100.0
-#define LEAST 1e-6
-#define MOST 1e6
-#define V_START 10.0
-#define A_START 3.0
-#define PSI_KNOWN 0.5
-#define GATE 2.0
-#define LONGEST 60.0
 #define LEAP 0.2
 #define DRIFT 0.1
 #define FRESH 0.01
@@ -23,54 +11,12 @@
 
 static const double WIDEST[5] = {1e6, 1e6, V_MAX * V_MAX, V_MAX * V_MAX, 10.0};
 
-typedef struct { double x, y, xx, xy, yy, heading, heading_variance, length, width; } Measurement;
 typedef struct {
     double noise, straight, turning, turn_rate, turn, begin, end, huber, heading, heading_noise, l_r, settle, reverse;
 } Gains;
-typedef double Mean[5];
-typedef double Matrix[5][5];
-
-static double wrap(double angle) { return angle - TAU * floor(angle / TAU + 0.5); }
-static double larger(double a, double b) { return b > a ? b : a; }
-static double smaller(double a, double b) { return b < a ? b : a; }
-static double within(double v, double limit) { return v > limit ? limit : v < -limit ? -limit : v; }
-static int seen(const Measurement *y) { return fabs(y->x) < FAR && fabs(y->y) < FAR; }
-
-static int pointed(const Measurement *y) {
-    return fabs(y->heading) < FAR && 0.0 <= y->heading_variance && y->heading_variance < INFINITY;
-}
-
-static int directed(double dx, double dy, const Measurement *y0, const Measurement *y1, double noise) {
-    double d2 = dx * dx + dy * dy;
-    double across = (y0->xx + y1->xx) * dy * dy - 2.0 * (y0->xy + y1->xy) * dx * dy + (y0->yy + y1->yy) * dx * dx;
-    return d2 * d2 > GATE * GATE * larger(across, 2.0 * (noise * noise) * d2) && d2 > 0.0;
-}
-
-static void scatter(const Measurement *y, const Gains *g, double *xx, double *xy, double *yy) {
-    double a = y->xx > 0.0 ? smaller(y->xx, MOST) : 0.0, b = y->yy > 0.0 ? smaller(y->yy, MOST) : 0.0;
-    double least = larger(g->noise * g->noise, LEAST);
-    *xy = fabs(y->xy) < INFINITY ? within(y->xy, sqrt(a * b)) : 0.0;
-    *xx = a + least;
-    *yy = b + least;
-}
-
-static double heading_scatter(const Measurement *y, const Gains *g) {
-    return smaller(y->heading_variance, MOST) + larger(g->heading_noise * g->heading_noise, LEAST);
-}
-
-static inline void mirror(Matrix P) {
-    for (int i = 0; i < 5; i++)
-        for (int j = 0; j < i; j++) P[j][i] = P[i][j];
-}
+typedef double State[STATES];
 
 /* ---------------------------------------------------------------- the two motions */
-
-static inline void identity(Matrix F) {
-    for (int i = 0; i < 5; i++) {
-        for (int j = 0; j < 5; j++) F[i][j] = 0.0;
-        F[i][i] = 1.0;
-    }
-}
 
 static inline void carry(Matrix F, Matrix P) {
     for (int j = 0; j < 5; j++) {
@@ -89,7 +35,7 @@ static inline void carry(Matrix F, Matrix P) {
         P[i][3] = F[3][2] * u + F[3][3] * v + F[3][4] * w;
         P[i][4] = F[4][4] * w;
     }
-    mirror(P);
+    mirror(P, 5);
 }
 
 static inline void disturb(Matrix P, double q, double pp, double pv, double aside, double vv) {
@@ -123,12 +69,12 @@ static inline void swerve(Matrix P, double q, double t, double ex, double ey, do
     P[4][2] += vw * fx;
     P[4][3] += vw * fy;
     P[4][4] += ww;
-    mirror(P);
+    mirror(P, 5);
 }
 
 static inline void go_straight(Mean x, Matrix P, double t, double q, double turn) {
     Matrix F;
-    identity(F);
+    identity(F, 5);
     F[0][2] = F[1][3] = t;
     F[4][4] = 0.0;
     x[0] += t * x[2];
@@ -159,7 +105,7 @@ static inline void go_round(Mean x, Matrix P, double t, double q, double q_w) {
     double S = t - w * w * h, C = w * g, dx = S * u - C * v, dy = C * u + S * v;
     double u1 = c * u - s * v, v1 = s * u + c * v;
     Matrix F;
-    identity(F);
+    identity(F, 5);
     F[0][2] = S;
     F[0][3] = -C;
     F[0][4] = S_w * u - C_w * v;
@@ -231,35 +177,25 @@ static double more(double square, double k) { return 0.0 < k * k && k * k < squa
 static inline double correct(Mean x, Matrix P, const Measurement *y, int told, double l_r, const Gains *g) {
     double c = told ? cos(y->heading) : 1.0, s = told ? sin(y->heading) : 0.0, ahead = x[2] * c + x[3] * s;
     double square = ahead * ahead + P[2][2] * c * c + 2.0 * P[3][2] * c * s + P[3][3] * s * s;
-    double ex = y->x - x[0], ey = y->y - x[1], xx, xy, yy, G[5], H[5];
-    scatter(y, g, &xx, &xy, &yy);
-    xx += P[0][0];
-    xy += P[1][0];
-    yy += P[1][1];
-    double det = xx * yy - xy * xy, far = (yy * ex * ex - 2.0 * xy * ex * ey + xx * ey * ey) / det;
-    double likely = -0.5 * log(det) - loss(far, g->huber), w = more(far, g->huber);
-    double l = 1.0 / sqrt(xx * w), m = xy * w * l, k = 1.0 / sqrt(yy * w - m * m), a = ex * l, b = (ey - m * a) * k;
-    for (int i = 0; i < 5; i++) {
-        G[i] = P[i][0] * l;
-        H[i] = (P[i][1] - m * G[i]) * k;
-    }
-    for (int i = 0; i < 5; i++) {
-        x[i] += G[i] * a + H[i] * b;
-        for (int j = 0; j <= i; j++) {
-            P[i][j] -= G[i] * G[j] + H[i] * H[j];
-            P[j][i] = P[i][j];
-        }
-    }
+    double G[5];
+    Columns H;
+    Innovation e = against(x, P, H, 5, y, g->noise);
+    double far = normalised(&e), w = more(far, g->huber);
+    double likely = -0.5 * log(e.xx * e.yy - e.xy * e.xy) - loss(far, g->huber);
+    e.xx *= w;
+    e.xy *= w;
+    e.yy *= w;
+    correct_two(x, P, H, 5, &e);
     if (!told) return likely;
     for (int i = 0; i < 5; i++) G[i] = c * P[i][3] - s * P[i][2] - l_r * P[i][4];
-    double S = larger(square * heading_scatter(y, g), SLOWEST) + c * G[3] - s * G[2] - l_r * G[4];
-    double e = s * x[2] - c * x[3] + l_r * x[4];
-    far = e * e / S;
+    double S = larger(square * heading_scatter(y, g->heading_noise), SLOWEST) + c * G[3] - s * G[2] - l_r * G[4];
+    double aside = s * x[2] - c * x[3] + l_r * x[4];
+    far = aside * aside / S;
     likely -= 0.5 * log(S) + loss(far, g->huber);
     S *= more(far, g->huber);
     for (int i = 0; i < 5; i++) {
         double gain = G[i] / S;
-        x[i] += gain * e;
+        x[i] += gain * aside;
         for (int j = 0; j <= i; j++) {
             P[i][j] -= gain * G[j];
             P[j][i] = P[i][j];
@@ -284,7 +220,7 @@ static void facing(Mean x, Matrix P, double *psi, double *variance, int told, co
         *psi += PI;
         V = -V;
     }
-    double chi = atan2(v, u) + (V < 0.0 ? PI : 0.0), beta = asin(within(l * x[4] / V, most));
+    double chi = atan2(v, u) + (V < 0.0 ? PI : 0.0), beta = asin(clip(l * x[4] / V, most));
     double gain = *variance * square / (*variance * square + across + l * l * P[4][4]);
     *psi += gain * wrap(chi - beta - *psi);
     *variance *= 1.0 - gain;
@@ -306,15 +242,8 @@ static inline void load(const double *row, Mean x, Matrix P, Mean z, Matrix Z, d
 }
 
 static inline void limit(Mean x, Matrix P) {
-    for (int i = 0; i < 5; i++) {
-        if (i > 1) x[i] = within(x[i], i < 4 ? V_MAX : W_MAX);
-        if (!(P[i][i] > WIDEST[i])) continue;
-        double shrink = sqrt(WIDEST[i] / P[i][i]);
-        for (int j = 0; j < 5; j++) {
-            P[j][i] *= shrink;
-            P[i][j] *= shrink;
-        }
-    }
+    for (int i = 2; i < 5; i++) x[i] = clip(x[i], i < 4 ? V_MAX : W_MAX);
+    shrink(P, 5, WIDEST, 5);
 }
 
 static inline void store(Mean x, Matrix P, Mean z, Matrix Z, double turning, double psi, double variance, double A,
@@ -331,7 +260,7 @@ static inline void store(Mean x, Matrix P, Mean z, Matrix Z, double turning, dou
     row[34] = turning;
     row[35] = wrap(psi);
     row[36] = variance;
-    row[37] = within(A, A_MAX);
+    row[37] = clip(A, A_MAX);
     row[38] = age;
 }
 
@@ -339,13 +268,13 @@ static void start(const Measurement *y0, const Measurement *y1, double dt, const
     const Measurement *y = seen(y1) ? y1 : y0, *h = pointed(y1) ? y1 : y0;
     Mean x = {y->x, y->y}, z;
     Matrix P = {{0.0}}, Z;
-    scatter(y, g, &P[0][0], &P[1][0], &P[1][1]);
+    scatter(y, g->noise, &P[0][0], &P[1][0], &P[1][1]);
     P[2][2] = P[3][3] = V_START * V_START;
     P[4][4] = larger(g->turn * g->turn, 1e-12);
     double psi = 0.0, variance = 1.0;
     if (seen(y0) && seen(y1) && 0.0 < dt && dt < INFINITY) {
         double dx = y1->x - y0->x, dy = y1->y - y0->y, t = larger(dt, 1e-6), xx, xy, yy, a = 0.5 * A_START * t;
-        scatter(y0, g, &xx, &xy, &yy);
+        scatter(y0, g->noise, &xx, &xy, &yy);
         x[2] = dx / t;
         x[3] = dy / t;
         P[2][0] = P[0][0] / t;
@@ -355,13 +284,13 @@ static void start(const Measurement *y0, const Measurement *y1, double dt, const
         P[3][2] = (P[1][0] + xy) / (t * t);
         P[3][3] = (P[1][1] + yy) / (t * t) + a * a;
         psi = atan2(dy, dx);
-        variance = directed(dx, dy, y0, y1, g->noise) ? FRESH : 1.0;
+        variance = directed(dx, dy, y0, y1, g->noise, GATE) ? FRESH : 1.0;
     }
     if (g->heading > 0.0 && pointed(h)) {
         psi = wrap(h->heading);
-        variance = smaller(heading_scatter(h, g), 1.0);
+        variance = smaller(heading_scatter(h, g->heading_noise), 1.0);
     }
-    mirror(P);
+    mirror(P, 5);
     for (int i = 0; i < 5; i++) {
         z[i] = x[i];
         for (int j = 0; j < 5; j++) Z[i][j] = P[i][j];
@@ -392,10 +321,10 @@ static void step(const double *now, const Measurement *y, double dt, const Gains
         int told = g->heading > 0.0 && pointed(y);
         double u = x[2] + p * (z[2] - x[2]), v = x[3] + p * (z[3] - x[3]);
         double more = correct(z, Z, y, told, g->l_r, g) - correct(x, P, y, told, 0.0, g);
-        p = p > 0.0 ? p / (p + (1.0 - p) * exp(within(-more, 700.0))) : 0.0;
+        p = p > 0.0 ? p / (p + (1.0 - p) * exp(clip(-more, 700.0))) : 0.0;
         mean(x, P, z, Z, p, o, O);
         if (told) {
-            double r = heading_scatter(y, g);
+            double r = heading_scatter(y, g->heading_noise);
             psi += variance / (variance + r) * wrap(y->heading - psi);
             variance *= r / (variance + r);
         }
@@ -410,21 +339,4 @@ static void step(const double *now, const Measurement *y, double dt, const Gains
     store(x, P, z, Z, p, psi, variance, A, age, row);
 }
 
-void run(const double *y, const double *dt, const double *gains, double *out, long n, long T) {
-    const Gains *g = (const Gains *)gains;
-    for (long i = 0; i < n; i++) {
-        const Measurement *m = (const Measurement *)(y + i * T * 9);
-        double *rows = out + i * T * STATES;
-        int started = 0;
-        for (long k = 0; k < T * STATES; k++) rows[k] = NAN;
-        for (long k = 1; k < T; k++) {
-            double h = dt[i * T + k], *row = rows + k * STATES;
-            if (started) {
-                step(row - STATES, m + k, h, g, row);
-            } else if (m[k - 1].x + m[k - 1].y + m[k].x + m[k].y == m[k - 1].x + m[k - 1].y + m[k].x + m[k].y) {
-                start(m + k - 1, m + k, h, g, row);
-                started = 1;
-            }
-        }
-    }
-}
+RUN(start(&m[k - 1], &m[k], h, g, s[k]), step(s[k - 1], &m[k], h, g, s[k]))

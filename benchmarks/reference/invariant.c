@@ -1,51 +1,27 @@
 /* The invariant observer of observers/invariant.py in plain scalar C, to measure its speed against. */
-#include <math.h>
+#define SLIP_MAX (PI / 6.0)
+#include "common.h"
 
-#define PI 3.141592653589793
-#define TAU 6.283185307179586
 #define SHAPE_ALONG 0.8
 #define SHAPE_ACROSS 0.5
 #define POSITION 0.1
 #define SPEED 10.0
 #define HEADING 0.1
-#define V_MAX 70.0
-#define A_MAX 100.0
-#define SLIP_MAX (PI / 6.0)
 #define REVERSE 4.0
-#define GATE 2.0
 #define CONTRARY 3.0
 #define RUN_MAX 30.0
 #define LONG 1e3
 #define GAP 10.0
 #define SHORT 1e-4
 #define FAR_R 1e6
-#define FAR 1e8
 
 typedef struct { double x, y, chi, V, A, k, beta, age, blind, run, contrary; } State;
-typedef struct { double x, y, xx, xy, yy, heading, heading_variance, length, width; } Measurement;
 typedef struct {
     double tau, arc, turn, yaw, share, cross, relax, v0, heading, noise, heading_noise, huber, widen, ramp, coast,
         lag, l_r;
 } Gains;
-typedef struct { double p, v, a; } Chain;
-typedef struct { Chain along, across; double offset, course, curvature, yaw; } Correction;
-
-static double wrap(double angle) { return angle - TAU * floor(angle / TAU + 0.5); }
-static double clip(double v, double limit) { return v > limit ? limit : v < -limit ? -limit : v; }
-static double larger(double a, double b) { return b > a ? b : a; }
-static double smaller(double a, double b) { return b < a ? b : a; }
-static int seen(const Measurement *y) { return fabs(y->x) < FAR && fabs(y->y) < FAR; }
-
-static int pointed(const Measurement *y) {
-    return fabs(y->heading) < FAR && 0.0 <= y->heading_variance && y->heading_variance < INFINITY;
-}
-
-static int directed(double dx, double dy, const Measurement *y0, const Measurement *y1, double noise) {
-    double d2 = dx * dx + dy * dy;
-    double across = (y0->xx + y1->xx) * dy * dy - 2.0 * (y0->xy + y1->xy) * dx * dy
-                    + (y0->yy + y1->yy) * dx * dx;
-    return d2 * d2 > GATE * GATE * larger(across, 2.0 * (noise * noise) * d2) && d2 > 0.0;
-}
+typedef struct { double p, v, a; } Axis;
+typedef struct { Axis along, across; double offset, course, curvature, yaw; } Correction;
 
 static State limited(State s, const Gains *g) {
     double k = sin(SLIP_MAX) / g->l_r;
@@ -61,14 +37,14 @@ static State limited(State s, const Gains *g) {
 
 static State driven(const State *s, double dt, const Gains *g) {
     double T = g->coast, gone = -expm1(-dt / T);
-    double D = s->V * dt + s->A * T * (dt - T * gone), half = 0.5 * D * s->k;
-    double chord = D * (fabs(half) > 1e-6 ? sin(half) / half : 1.0 - half * half / 6.0);
+    double D = s->V * dt + s->A * T * (dt - T * gone);
+    Chord c = chord(D, s->chi, 0.5 * D * s->k);
     double rolling = asin(clip(g->l_r * s->k, 0.5)), beta = s->beta;
     if (dt > 0.0) beta = rolling + (beta - rolling) * exp(-fabs(D) / g->relax);
     State r = {
-        s->x + chord * cos(s->chi + half),
-        s->y + chord * sin(s->chi + half),
-        s->chi + 2.0 * half,
+        s->x + c.x,
+        s->y + c.y,
+        s->chi + c.turn,
         s->V + s->A * T * gone,
         s->A * (1.0 - gone),
         s->k, beta, s->age + dt, s->blind + dt, s->run, s->contrary,
@@ -76,7 +52,7 @@ static State driven(const State *s, double dt, const Gains *g) {
     return r;
 }
 
-static Chain placed(double d, double shape, double fade) {
+static Axis placed(double d, double shape, double fade) {
     double real = exp(-d), w = sqrt(fabs(shape * shape - 1.0)), both, product = exp(-2.0 * d * shape);
     if (shape < 1.0) both = 2.0 * exp(-d * shape) * cos(d * w);
     else both = exp(-d * (shape - w)) + exp(-d * (shape + w));
@@ -90,7 +66,7 @@ static Chain placed(double d, double shape, double fade) {
     double v = q2 - f - (1.0 + f) * (1.0 - p) - a * half;
     a /= f;
     v -= g * a;
-    Chain c = {p - v - half * a, v, a};
+    Axis c = {p - v - half * a, v, a};
     return c;
 }
 
@@ -111,7 +87,7 @@ static Correction correction(
         turn = smaller(turn, speed * wide);
         yaw = smaller(yaw, age);
     }
-    Chain s = placed(dt / tau, SHAPE_ALONG, dt / g->coast), n = placed(ds / arc, SHAPE_ACROSS, 0.0);
+    Axis s = placed(dt / tau, SHAPE_ALONG, dt / g->coast), n = placed(ds / arc, SHAPE_ACROSS, 0.0);
     double left = exp(-ds / turn), course = 1.0 - left * left;
     Correction L = {
         {s.p, s.v / dt, s.a / (dt * dt)},
@@ -126,8 +102,7 @@ static Correction correction(
 
 static State predict(const State *s, double dt, const Gains *g) {
     if (!(0.0 < dt && dt < INFINITY)) return *s;
-    double T = g->coast, stop = INFINITY;
-    if (s->V * s->A < 0.0 && -s->V / (s->A * T) < 1.0) stop = -T * log1p(s->V / (s->A * T));
+    double stop = stop_time(s->V, s->A, g->coast);
     State r = driven(s, smaller(dt, stop), g);
     if (stop <= dt) {
         r.V = r.A = 0.0;
@@ -206,11 +181,11 @@ static State start(const Measurement *y0, const Measurement *y1, double dt, cons
         const Measurement *y = seen(y1) ? y1 : y0;
         s.x = y->x;
         s.y = y->y;
-        s.chi = pointed(y) ? wrap(y->heading) : 0.0;
+        s.chi = heading_or(y, 0.0);
         return s;
     }
     if (!(0.0 < dt && dt < INFINITY)) {
-        s.chi = pointed(y1) ? wrap(y1->heading) : 0.0;
+        s.chi = heading_or(y1, 0.0);
         return s;
     }
     s.chi = wrap(atan2(dy, dx));
@@ -218,26 +193,10 @@ static State start(const Measurement *y0, const Measurement *y1, double dt, cons
     if (g->heading > 0.0 && pointed(y1)) {
         s.chi = wrap(y1->heading);
         s.V = (dx * cos(s.chi) + dy * sin(s.chi)) / dt;
-    } else if (directed(dx, dy, y0, y1, g->noise)) {
+    } else if (directed(dx, dy, y0, y1, g->noise, GATE)) {
         s.V = hypot(dx, dy) / dt;
     }
     return limited(s, g);
 }
 
-void run(const double *y, const double *dt, const double *gains, double *out, long n, long T) {
-    const Gains *g = (const Gains *)gains;
-    for (long i = 0; i < n; i++) {
-        const Measurement *m = (const Measurement *)y + i * T;
-        State *s = (State *)out + i * T;
-        int started = 0;
-        for (long j = 0; j < 11; j++) ((double *)s)[j] = NAN;
-        for (long k = 1; k < T; k++) {
-            double sum = m[k - 1].x + m[k - 1].y + m[k].x + m[k].y;
-            if (started) s[k] = step(&s[k - 1], &m[k], dt[i * T + k], g);
-            else if (sum == sum) {
-                s[k] = start(&m[k - 1], &m[k], dt[i * T + k], g);
-                started = 1;
-            } else for (long j = 0; j < 11; j++) ((double *)&s[k])[j] = NAN;
-        }
-    }
-}
+RUN(s[k] = start(&m[k - 1], &m[k], h, g), s[k] = step(&s[k - 1], &m[k], h, g))

@@ -1,14 +1,7 @@
 /* The multi-stage observer of observers/multi_stage.py in plain scalar C, to measure its speed against. */
-#include <math.h>
+#include "common.h"
 
-#define PI 3.141592653589793
-#define TAU 6.283185307179586
-#define SLIP_MAX (PI / 9.0)
-#define FAR 1e8
-#define V_MAX 70.0
-#define A_MAX 100.0
 #define J_MAX 1000.0
-#define GAP_MAX 5.0
 #define HEADING_VARIANCE 0.01
 #define SPEEDS 21
 
@@ -26,32 +19,11 @@ static const double OUR_BETA[SPEEDS] = {0.3391, 0.3861, 0.3863, 0.4271, 0.4639, 
                                         1.142, 1.193, 1.282};
 
 typedef struct { double S, V, A, J, psi, beta, x, y; } State;
-typedef struct { double x, y, xx, xy, yy, heading, heading_variance, length, width; } Measurement;
 typedef struct { double S, alpha, psi, x, y; } Output;
 typedef struct { double L_S, L_V, L_A, L_J, L_psi, L_beta, L_heading, L_w, l_r; } Coefficients;
 typedef struct {
     double L_S, L_V, L_A, L_J, L_w, l_r, speed, orientation, heading, noise, gate, coast, reverse, table;
 } Gains;
-
-static double wrap(double angle) { return angle - TAU * floor(angle / TAU + 0.5); }
-static double clip(double v, double limit) { return v > limit ? limit : v < -limit ? -limit : v; }
-static double larger(double a, double b) { return b > a ? b : a; }
-static int seen(const Measurement *y) { return fabs(y->x) < FAR && fabs(y->y) < FAR; }
-
-static int pointed(const Measurement *y) {
-    return fabs(y->heading) < FAR && 0.0 <= y->heading_variance && y->heading_variance < INFINITY;
-}
-
-static double heading_or(const Measurement *y, double otherwise) {
-    return pointed(y) ? wrap(y->heading) : otherwise;
-}
-
-static int directed(double dx, double dy, const Measurement *y0, const Measurement *y1, const Gains *g) {
-    double d2 = dx * dx + dy * dy;
-    double across = (y0->xx + y1->xx) * dy * dy - 2.0 * (y0->xy + y1->xy) * dx * dy
-                    + (y0->yy + y1->yy) * dx * dx;
-    return d2 * d2 > g->gate * g->gate * larger(across, 2.0 * (g->noise * g->noise) * d2) && d2 > 0.0;
-}
 
 static inline State rhs(const State *s, const Output *y, const Coefficients *c) {
     double eS = y->S - s->S, chi = s->psi + s->beta, e = wrap(y->alpha - chi);
@@ -137,7 +109,7 @@ static State start(const Measurement *y0, const Measurement *y1, double dt, cons
         r.psi = heading_or(y, 0.0);
         r.x = y->x;
         r.y = y->y;
-    } else if (0.0 < dt && dt < INFINITY && directed(dx, dy, y0, y1, g)) {
+    } else if (0.0 < dt && dt < INFINITY && directed(dx, dy, y0, y1, g->noise, g->gate)) {
         double V = hypot(dx, dy) / dt;
         r.V = V > V_MAX ? V_MAX : V;
         r.psi = wrap(alpha);
@@ -149,11 +121,7 @@ static State start(const Measurement *y0, const Measurement *y1, double dt, cons
 
 static State predict(const State *s, double dt, const Gains *g) {
     if (!(0.0 < dt && dt < INFINITY)) return *s;
-    double V = s->V, A = s->A, T = g->coast, t = dt;
-    if (V * A < 0.0 && -V / (A * T) < 1.0) {
-        double stop = -T * log1p(V / (A * T));
-        t = stop < dt ? stop : dt;
-    }
+    double V = s->V, A = s->A, T = g->coast, t = smaller(dt, stop_time(V, A, T));
     double fade = exp(-t / T), D = V * t + A * T * (t - T * (1.0 - fade));
     if (t < dt) {
         V = 0.0;
@@ -162,10 +130,8 @@ static State predict(const State *s, double dt, const Gains *g) {
         V = V + A * T * (1.0 - fade);
         A = A * fade;
     }
-    double half = 0.5 * D * sin(s->beta) / g->l_r;
-    double chord = D * (fabs(half) > 1e-6 ? sin(half) / half : 1.0 - half * half / 6.0);
-    double chi = s->psi + s->beta + half;
-    State r = {0.0, V, A, 0.0, s->psi + 2.0 * half, s->beta, s->x + chord * cos(chi), s->y + chord * sin(chi)};
+    Chord c = chord(D, s->psi + s->beta, 0.5 * D * sin(s->beta) / g->l_r);
+    State r = {0.0, V, A, 0.0, s->psi + c.turn, s->beta, s->x + c.x, s->y + c.y};
     return limited(&r, 0.0, INFINITY);
 }
 
@@ -181,12 +147,12 @@ static State step(const State *s, const Measurement *previous, const Measurement
     double c = cos(chi), sn = sin(chi), way = dx * c + dy * sn, aside = dy * c - dx * sn;
     double e = way >= 0.0 ? atan2(aside, way) : atan2(-aside, -way);
     int moved = hypot(dx, dy) <= V_MAX * dt + g->noise;
-    int clear = moved && directed(dx, dy, &before, y, g);
+    int clear = moved && directed(dx, dy, &before, y, g->noise, g->gate);
     Coefficients k = coefficients(s, y, moved, clear, g);
     double psi0 = heading_or(&before, heading_or(y, s->psi));
     double turn = wrap(heading_or(y, psi0) - psi0);
     Output begin = {0.0, chi + e, psi0, before.x, before.y};
-    double d = larger(dt, 1e-9);
+    double d = larger(dt, LEAST_DT);
     Output rate = {way / d, 0.0, turn / d, dx / d, dy / d};
     double fastest = larger(larger(k.L_S, k.L_w), fabs(k.L_psi + k.L_beta) + k.L_heading);
     double n = ceil(2.0 * dt * fastest);
@@ -194,23 +160,4 @@ static State step(const State *s, const Measurement *previous, const Measurement
     return limited(&r, moved ? r.S - way : s->S, k.L_heading > 0.0 ? INFINITY : g->reverse);
 }
 
-void run(const double *y, const double *dt, const double *gains, double *out, long n, long T) {
-    const Gains *g = (const Gains *)gains;
-    for (long i = 0; i < n; i++) {
-        const Measurement *m = (const Measurement *)y + i * T;
-        State *s = (State *)out + i * T;
-        int started = 0;
-        for (long k = 0; k < T; k++) {
-            double first = k ? m[k - 1].x + m[k - 1].y + m[k].x + m[k].y : NAN;
-            if (started) {
-                s[k] = step(&s[k - 1], &m[k - 1], &m[k], dt[i * T + k], g);
-            } else if (first == first) {
-                s[k] = start(&m[k - 1], &m[k], dt[i * T + k], g);
-                started = 1;
-            } else {
-                State none = {NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN};
-                s[k] = none;
-            }
-        }
-    }
-}
+RUN(s[k] = start(&m[k - 1], &m[k], h, g), s[k] = step(&s[k - 1], &m[k - 1], &m[k], h, g))
