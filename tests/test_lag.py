@@ -45,7 +45,7 @@ def test_each_frame_tells_the_scan_two_scans_ago_once_more(frames):
 
 
 def test_what_moves_now_moved_before_it_was_told(frames):
-    """A body that drove into view is known as moving LAG scans sooner, with a speed that is near the truth."""
+    """A body that drove into view is known as moving LAG scans sooner, at a speed near the truth."""
     told = {i for f in frames for i in f.tracks.id[f.tracks.state == TrackState.CONFIRMED].tolist()}
     assert told
     for track in told:
