@@ -60,9 +60,8 @@ TUNED: Mapping[str, Mapping[str, Range]] = {
     "invariant": {
         "tau": (0.03, 1.5),
         "arc": (0.1, 20.0),
-        "share": (0.01, 1.0),
         "relax": (1.0, 60.0),
-        **AXLE,
+        "noise": (0.01, 1.0),
     },
     "imm": {
         "noise": (0.01, 1.0),
@@ -98,7 +97,12 @@ HEADING_GAIN: Mapping[str, Mapping[str, Range]] = {
     "multi_stage": {"heading": (1.0, 100.0)},
     "high_gain": {**PULL, "turn": (0.3, 20.0)},
     "constant_velocity": PULL,
-    "invariant": {"turn": (0.5, 40.0), "yaw": (0.01, 1.0), "heading_noise": (0.003, 0.5)},
+    "invariant": {
+        "turn": (0.5, 40.0),
+        "yaw": (0.01, 1.0),
+        "cross": (0.05, 2.0),
+        "heading_noise": (0.003, 0.5),
+    },
 }  # where the heading needs more than its noise
 VARIANTS = ("position", "position, Huber", "heading", "heading, Huber", "heading, Huber, hop")
 PEERS = peers.NAMES
