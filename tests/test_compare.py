@@ -15,6 +15,7 @@ from outrider.certificate import Bound, Certificate
 from outrider.compare import Estimate, Series, judge
 from outrider.errors import InputError, OutputError
 from outrider.geometry import wrap
+from outrider.io._folder import prepare
 from outrider.metrics import Truth
 from outrider.records import Pose
 from outrider.settings import Settings, override
@@ -346,7 +347,7 @@ def test_no_heading_that_points_backwards_is_believed(seen):
 
 def test_measurements_do_not_depend_on_the_observer(world, seen):
     (other,) = [name for name in observers.names() if name != "multi_stage"][:1]
-    again = measured.series(world / "rec.mcap", changes=[f"observer.name={other}"])
+    again = measured.measure(world / "rec.mcap", changes=[f"observer.name={other}"]).series
     assert_array_equal(again[0].y, seen.series[0].y)
     assert_array_equal(again[0].t, seen.series[0].t)
 
@@ -361,7 +362,7 @@ def test_a_scale_model_is_measured_in_full_size_lengths(world, seen):
             changes = {k: getattr(m, k) / 10 for k in ("ranges", "range_min", "range_max")}
             small.append(dataclasses.replace(m, **changes))
     truth = [m for m in small if isinstance(m, Pose) and m.topic == "/truth/car"]
-    (s,) = measured.series(small, override(Settings(), ["recording.scale=10"]), truth=truth)
+    (s,) = measured.measure(small, override(Settings(), ["recording.scale=10"]), truth=truth).series
     (full,) = seen.series
     assert_allclose(s.t, full.t, atol=1e-6)
     assert_allclose(s.y, full.y, rtol=1e-3, atol=1e-3)
@@ -374,7 +375,7 @@ def test_a_body_out_of_sight_for_long_begins_another_series(world, seen):
     middle = scans[len(scans) // 3]
     truth = [m for m in messages if isinstance(m, Pose) and m.topic == "/truth/car"]
     gone = [m for m in messages if isinstance(m, Pose) or not 0 <= m.stamp_ns - middle < 1.5e9]
-    first, second = measured.series(gone, truth=truth)
+    first, second = measured.measure(gone, truth=truth).series
     assert (first.name, second.name) == ("/truth/car", "/truth/car (2)")
     assert second.t[0] - first.t[-1] > 1.0
 
@@ -430,7 +431,7 @@ def test_the_best_of_each_column_is_marked():
 
 
 def test_files_hold_the_same_figures(result, tmp_path):
-    comparison.prepare(tmp_path / "out")
+    prepare(tmp_path / "out")
     comparison.save(result, tmp_path / "out")
     told = json.loads((tmp_path / "out" / "compare.json").read_text())
     rows = list(csv.DictReader((tmp_path / "out" / "table.csv").read_text().splitlines()))
@@ -447,10 +448,10 @@ def test_files_hold_the_same_figures(result, tmp_path):
 def test_a_folder_that_holds_something_is_not_written_into(tmp_path):
     (tmp_path / "file").write_text("x")
     with pytest.raises(InputError, match="not empty"):
-        comparison.prepare(tmp_path)
+        prepare(tmp_path)
     with pytest.raises(InputError, match="is a file"):
-        comparison.prepare(tmp_path / "file")
-    comparison.prepare(tmp_path, force=True)
+        prepare(tmp_path / "file")
+    prepare(tmp_path, force=True)
     assert (tmp_path / "file").read_text() == "x"
 
 

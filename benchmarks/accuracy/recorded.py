@@ -32,7 +32,7 @@ def load(run: str) -> list[Series]:
     if not file.is_file():
         rows = {
             f"{i}": np.column_stack([s.t, s.y, s.truth.W_p, s.truth.W_v, s.truth.yaw])
-            for i, s in enumerate(measured.series(f"dataset:{name}"))
+            for i, s in enumerate(measured.measure(f"dataset:{name}").series)
         }
         part = file.with_name(f"{file.stem}-{np.random.default_rng().integers(1 << 62)}.npz")
         np.savez(part, **rows)

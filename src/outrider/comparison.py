@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,8 +17,9 @@ import numpy as np
 
 from outrider import __version__, observers
 from outrider.compare import Estimate, Figures, Series, estimate, judge, promise, step_time
-from outrider.errors import InputError, OutputError
+from outrider.errors import InputError
 from outrider.interrupt import Interrupts
+from outrider.io._folder import writing
 from outrider.measured import Measured
 from outrider.observers import Variant
 
@@ -218,18 +218,6 @@ def _line(row: Sequence[str]) -> str:
 # ------------------------------------------------------------------ kept
 
 
-def prepare(folder: Path, force: bool = False) -> None:
-    """Make a folder for the results; InputError where it is a file or not empty, unless `force`."""
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: is a file; want a folder for the results")
-    with _writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        if any(folder.iterdir()) and not force:
-            raise InputError(
-                f"{folder}: not empty; name another folder or use --force to replace its results"
-            )
-
-
 def save(comparison: Comparison, folder: Path) -> None:
     """Write compare.json, table.csv and table.md into a folder; OutputError where it cannot."""
     told = msgspec.json.encode(comparison.to_dict(), enc_hook=lambda v: v.tolist())
@@ -240,16 +228,8 @@ def save(comparison: Comparison, folder: Path) -> None:
         sheet.writerows([name, r.label, r.lag, *(r.values()[key] for key in COLUMNS)] for r in rows)
     contents = (msgspec.json.format(told), table.getvalue().encode(), markdown(comparison).encode())
     for name, content in zip(TABLES, contents, strict=True):
-        with _writing(folder / name):
+        with writing(folder / name):
             (folder / name).write_bytes(content)
-
-
-@contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise OutputError(f"{path}: cannot write ({error.strerror or error}); name another folder") from error
 
 
 def _told(c: Compared) -> dict[str, Any]:

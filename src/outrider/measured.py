@@ -73,18 +73,6 @@ def measure(
     return collect(open_source(source, settings, changes), truth, offset, gate)
 
 
-def series(
-    source: Source,
-    settings: Given = None,
-    changes: Sequence[str] = (),
-    truth: Truths = None,
-    offset: Sequence[float] | None = None,
-    gate: float = GATE_M,
-) -> list[Series]:
-    """The series of `measure` alone."""
-    return list(measure(source, settings, changes, truth, offset, gate).series)
-
-
 def collect(
     opened: Opened,
     truth: Truths = None,

@@ -84,11 +84,16 @@ def save(run: _Run, folder: Path | str, truth: Mapping[str, Truth] | None = None
         (Path(folder) / "tracks.png", tracks(run, truth)[0]),
     )
     for path, ax in pictures:
-        try:
-            _root(ax).savefig(path, dpi=DPI)
-        except OSError as error:
-            raise OutputError(f"{path}: cannot write ({error.strerror or error}); free some space") from error
+        write(_root(ax), path)
     return pictures[0][0], pictures[1][0]
+
+
+def write(figure: Any, path: Path) -> None:
+    """Writes a figure as a picture; OutputError where it cannot."""
+    try:
+        figure.savefig(path, dpi=DPI)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot write ({error.strerror or error}); free some space") from error
 
 
 # ------------------------------------------------------------------ from above

@@ -19,10 +19,9 @@ from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
 from outrider.compare import Estimate, Series
 from outrider.comparison import Comparison, Row, name_of
-from outrider.errors import OutputError
 from outrider.geometry import wrap
 from outrider.observers import Motion
-from outrider.plots import DPI, LINES, TEXT, TRUTH
+from outrider.plots import DPI, LINES, TEXT, TRUTH, write
 from outrider.records import Array, Bools
 
 MARKERS = "osD^vP"  # a recording each, then from the front again
@@ -39,10 +38,7 @@ def save(comparison: Comparison, folder: Path | str) -> tuple[Path, Path]:
         (Path(folder) / "series.png", series(comparison)),
     )
     for path, figure in pictures:
-        try:
-            figure.savefig(path, dpi=DPI)
-        except OSError as error:
-            raise OutputError(f"{path}: cannot write ({error.strerror or error}); free some space") from error
+        write(figure, path)
     return pictures[0][0], pictures[1][0]
 
 

@@ -42,10 +42,11 @@ def compare(
     """
     from outrider import comparison, measured, offline
     from outrider import observers as known
+    from outrider.io._folder import prepare
 
     known.variants(observers)  # its message before the work, where something is wrong
     if output:
-        comparison.prepare(output, force)
+        prepare(output, force)
     found = []
     for name in recordings:
         opened = offline.open_source(name, settings, set_ or [])

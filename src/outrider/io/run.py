@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -20,6 +19,7 @@ import numpy as np
 
 from outrider import __version__
 from outrider.errors import InputError, OutputError
+from outrider.io._folder import prepare, writing
 from outrider.io._run_background import Background, load_background
 from outrider.io._run_rows import alert_row, in_recording_lengths, scan_columns, track_columns
 from outrider.records import Array, Frame, Level, TrackState
@@ -38,19 +38,6 @@ BACKGROUND_S = 10.0  # between two saves of the background
 def _tables(settings: Settings) -> tuple[str, ...]:
     """Names of the tables that a run under these settings keeps."""
     return ("tracks", "scans", "lagged") if "+lag" in settings.observer.name else ("tracks", "scans")
-
-
-@contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    """OutputError, in one line, where the file system says no."""
-    try:
-        yield
-    except OSError as error:
-        reason = error.strerror or error
-        raise OutputError(
-            f"{path}: cannot write ({reason}); what was written before stays readable; "
-            "free some space or name another folder with -o"
-        ) from error
 
 
 # ------------------------------------------------------------------ writer
@@ -92,24 +79,17 @@ class RunWriter:
         self._closed = False
 
     def _prepare(self, force: bool) -> None:
-        folder = self.folder
-        if folder.exists() and not folder.is_dir():
-            raise InputError(f"{folder}: is a file; want a folder for the results")
-        with _writing(folder):
-            folder.mkdir(parents=True, exist_ok=True)
-            if any(folder.iterdir()) and not force:
-                raise InputError(
-                    f"{folder}: not empty; name another folder or use --force to replace its results"
-                )
+        prepare(self.folder, force)
+        with writing(self.folder):
             for name in OURS:
-                (folder / name).unlink(missing_ok=True)
+                (self.folder / name).unlink(missing_ok=True)
 
     def _open(self, settings: Settings) -> None:
         from outrider.io._run_mcap import McapSink
         from outrider.io._run_tables import ChunkedTable
 
         folder = self.folder
-        with _writing(folder), ExitStack() as stack:
+        with writing(folder), ExitStack() as stack:
             (folder / "settings.toml").write_text(dump(settings))
             self._summarise({})
             self._tables = {name: ChunkedTable(folder, name) for name in _tables(settings)}
@@ -138,7 +118,7 @@ class RunWriter:
     def write(self, frame: Frame) -> None:
         """Adds one frame, lengths of the full-size world; OutputError where it cannot be written."""
         frame = in_recording_lengths(frame, self._scale)
-        with _writing(self.folder):
+        with writing(self.folder):
             self._tables["tracks"].add({**track_columns(frame.tracks), "ttc": frame.threats.ttc})
             self._tables["scans"].add(scan_columns(frame))
             if frame.lagged is not None and "lagged" in self._tables:
@@ -187,7 +167,7 @@ class RunWriter:
 
         if self._closed:
             return
-        with _writing(self.folder):
+        with writing(self.folder):
             try:
                 self._flush(self._times[1])
                 self._mcap.close()
@@ -298,7 +278,7 @@ def finish(folder: Path | str) -> Run:
     run = open_run(folder)
     if run.summary.get("finished"):
         return run
-    with _writing(run.folder):
+    with writing(run.folder):
         for name in _tables(run.settings):
             if (run.folder / f"{name}.arrows").exists():
                 seal(run.folder, name)

@@ -6,13 +6,14 @@ these if n > 6. `gains` has noise, jerk, slip, yaw, heading, heading_noise, coas
 
 from __future__ import annotations
 
-from math import atan2, cos, exp, hypot, inf, log1p, pi, sin, sqrt
+from math import atan2, cos, hypot, inf, pi, sin, sqrt
 from typing import Any
 
 from outrider.kernel import kernel, wrap
 from outrider.observers import Measurement, Spread
-from outrider.observers._gaussian import limit
+from outrider.observers._gaussian import correct_one, limit
 from outrider.observers._measured import directed, pointed, seen
+from outrider.observers._path import fade
 
 SLIP_MAX = pi / 9.0  # Alai & Rajamani 2023, eq. 8 [rad]
 V_MAX, A_MAX = 70.0, 100.0  # far beyond any vehicle: only keep numbers finite [m/s, m/s2]
@@ -43,6 +44,16 @@ def heading_scatter(y: Measurement, gains: Any) -> float:
     """Variance of a measured heading [rad2]."""
     variance: float = min(y.heading_variance, MOST) + max(gains.heading_noise**2, LEAST)
     return variance
+
+
+@kernel
+def correct_heading(x: Any, P: Any, y: Measurement, gains: Any) -> None:
+    """x, P by the heading of the rectangle; what is beyond Huber's limit is doubted, as a position is."""
+    e, r = wrap(y.heading - x[0, 4]), heading_scatter(y, gains)
+    s = P[4, 4] + r
+    if gains.huber > 0.0 and e * e > gains.huber**2 * s:
+        r = sqrt(s) * abs(e) / gains.huber - P[4, 4]
+    correct_one(x, P, 4, e, r)
 
 
 # ------------------------------------------------------------------ beginning
@@ -94,32 +105,6 @@ def _begin_moving(
 
 
 # ------------------------------------------------------------------ in between
-
-
-@kernel
-def fade(t: float, T: float) -> tuple[float, float, float]:
-    """What acceleration, speed and way become, t [s] after an acceleration of 1 that fades with T [s].
-
-    T = 0: it stays. Singer 1970.
-    """
-    if not T > 0.0:
-        return 1.0, t, 0.5 * t * t
-    a, r = exp(-t / T), t / T
-    if r < 0.01:  # without cancellation
-        v = t * (1.0 - r / 2.0 * (1.0 - r / 3.0 * (1.0 - r / 4.0)))
-        return a, v, 0.5 * t * t * (1.0 - r / 3.0 * (1.0 - r / 4.0 * (1.0 - r / 5.0)))
-    v = T * (1.0 - a)
-    return a, v, T * (t - v)
-
-
-@kernel
-def travel(V: float, A: float, t: float, T: float) -> tuple[float, float, float]:
-    """Way, speed and acceleration after t [s]; what brakes stops, and does not roll back."""
-    a, v, d = fade(t, T)
-    if V * A < 0.0 and abs(V) <= abs(A) * v:
-        t = -T * log1p(V / (A * T)) if T > 0.0 else -V / A
-        return V * t + A * fade(t, T)[2], 0.0, 0.0
-    return V * t + A * d, V + A * v, A * a
 
 
 @kernel

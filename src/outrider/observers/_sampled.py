@@ -1,8 +1,8 @@
-"""One step of a sampled observer: gains of a chain, coasting, the arc of a circle, doubt in a sample."""
+"""One step of a sampled observer: gains of a chain, doubt in a sample."""
 
 from __future__ import annotations
 
-from math import acos, cos, exp, expm1, log1p, pi, sin, sqrt
+from math import acos, cos, exp, expm1, pi, sin, sqrt
 
 from outrider.kernel import kernel, wrap
 from outrider.observers import Innovation, Measurement
@@ -42,27 +42,6 @@ def chain_gains(L1: float, L2: float, L3: float, dt: float) -> tuple[float, floa
         total, product = q2 + q3, q2 * q3
     e2, e3 = q * total + product, q * product
     return q + total - e2 + e3, (e2 - 1.5 * e3) / d, e3 / (d * d)
-
-
-@kernel
-def coast(V: float, A: float, dt: float, T: float) -> tuple[float, float, float]:
-    """Way [m], speed and acceleration after dt [s]; A fades with the time constant T [s], brakes stop."""
-    t = dt
-    if V * A < 0.0 and -V / (A * T) < 1.0:
-        t = min(dt, -T * log1p(V / (A * T)))  # until it stands
-    fade = -expm1(-t / T)
-    way = V * t + A * T * (t - T * fade)
-    if t < dt:
-        return way, 0.0, 0.0
-    return way, V + A * T * fade, A * (1.0 - fade)
-
-
-@kernel
-def chord(way: float, chi: float, curvature: float) -> tuple[float, float, float]:
-    """Displacement (x, y) [m] and turn [rad] after `way` [m] on a circle, from the course chi [rad]."""
-    half = 0.5 * way * curvature
-    length = way * (sin(half) / half if abs(half) > 1e-6 else 1.0 - half * half / 6.0)
-    return length * cos(chi + half), length * sin(chi + half), 2.0 * half
 
 
 @kernel

@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 from outrider.kernel import kernel, wrap
 from outrider.observers import Innovation, Measurement, Motion
 from outrider.observers._measured import directed, heading_or, pointed, seen
-from outrider.observers._sampled import chain_gains, chord, coast, heading_innovation, patient_huber
+from outrider.observers._path import chord, told, travel
+from outrider.observers._sampled import chain_gains, heading_innovation, patient_huber
 
 reference = (
     "R. Rajamani, W. Jeon, H. Movahedi and A. Zemouche, On the need for switched-gain observers for "
@@ -155,7 +156,7 @@ def predict(state: State, dt: float, gains: Gains) -> State:
     """State after dt [s] on its arc, acceleration fading; a braking vehicle stops. Closed form."""
     if not 0.0 < dt < inf:
         return state
-    way, V, A = coast(state.V, state.A, dt, gains.coast)
+    way, V, A = travel(state.V, state.A, dt, gains.coast)
     return _moved(state, way, V, A, gains)
 
 
@@ -163,8 +164,7 @@ def predict(state: State, dt: float, gains: Gains) -> State:
 def motion(state: State, gains: Gains) -> Motion:
     """The state in common terms."""
     s = state
-    yaw_rate = s.V * sin(s.beta) / gains.l_r
-    return Motion(s.X, s.Y, s.V, s.A, wrap(s.psi + s.beta), s.psi, s.beta, yaw_rate)
+    return told(s.X, s.Y, s.V, s.A, s.psi, s.beta, gains.l_r)
 
 
 @kernel

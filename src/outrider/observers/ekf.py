@@ -5,7 +5,7 @@ The model is models/bicycle.py; what is chosen here, and why, is in docs/observe
 
 from __future__ import annotations
 
-from math import atan2, cos, exp, inf, sin, sqrt
+from math import atan2, cos, exp, inf, sin
 from typing import Any, NamedTuple
 
 from outrider.kernel import from_row, kernel, matrix, to_row, wrap
@@ -15,18 +15,15 @@ from outrider.observers._bicycle import (
     aim,
     begin,
     bound,
+    correct_heading,
     disturb,
-    fade,
-    heading_scatter,
     mirror,
     scatter,
     spread_of,
-    travel,
     turn_round,
 )
 from outrider.observers._gaussian import (
     cholesky,
-    correct_one,
     correct_two,
     look_back,
     pack,
@@ -34,6 +31,7 @@ from outrider.observers._gaussian import (
     unpack,
 )
 from outrider.observers._measured import huber, pointed, seen
+from outrider.observers._path import fade, told, travel
 
 reference = (
     "A. H. Jazwinski, Stochastic Processes and Filtering Theory, Academic Press, 1970: section 8.3; "
@@ -169,8 +167,7 @@ def predict(state: State, dt: float, gains: Gains) -> State:
 def motion(state: State, gains: Gains) -> Motion:
     """The state in common terms."""
     s = state
-    yaw_rate = s.V * sin(s.beta) / gains.l_r
-    return Motion(s.x, s.y, s.V, s.A, wrap(s.psi + s.beta), wrap(s.psi), s.beta, yaw_rate)
+    return told(s.x, s.y, s.V, s.A, s.psi, s.beta, gains.l_r)
 
 
 @kernel
@@ -300,11 +297,7 @@ def _correct(x: Any, P: Any, G: Any, y: Measurement, gains: Gains) -> None:
     w = huber(i, gains.huber)
     correct_two(x, P, G, (i.x, i.y), (i.xx / w, i.xy / w, i.yy / w))
     if gains.heading > 0.0 and pointed(y):
-        e, r = wrap(y.heading - x[0, 4]), heading_scatter(y, gains)
-        s = P[4, 4] + r
-        if gains.huber > 0.0 and e * e > gains.huber**2 * s:
-            r = sqrt(s) * abs(e) / gains.huber - P[4, 4]
-        correct_one(x, P, 4, e, r)
+        correct_heading(x, P, y, gains)
     elif x[0, 2] < -gains.reverse:
         turn_round(x, P)
     for k in range(6, P.shape[0]):

@@ -13,7 +13,8 @@ from outrider.kernel import kernel, rk4, wrap
 from outrider.models import bicycle
 from outrider.observers import Innovation, Measurement, Motion
 from outrider.observers._measured import directed, heading_or, pointed, seen
-from outrider.observers._sampled import chain_gains, chord, coast, heading_innovation, patient_huber
+from outrider.observers._path import chord, travel
+from outrider.observers._sampled import chain_gains, heading_innovation, patient_huber
 
 reference = (
     "H. Alai, A. Zemouche and R. Rajamani, Vehicle Trajectory Estimation Using a High-Gain Multi-Output "
@@ -174,7 +175,7 @@ def predict(state: State, dt: float, gains: Gains) -> State:
     if not 0.0 < dt < inf:
         return state
     v = to_vehicle(state, gains)
-    way, V, A = coast(v.V, v.A, dt, gains.coast)
+    way, V, A = travel(v.V, v.A, dt, gains.coast)
     dx, dy, turn = chord(way, v.psi + v.beta, sin(v.beta) / gains.l_r)
     s = from_vehicle(bicycle.State(v.X + dx, v.Y + dy, V, A, v.psi + turn, v.beta), gains)
     return State(s.X, s.dX, s.ddX, s.Y, s.dY, s.ddY, wrap(state.psi + turn), state.run)

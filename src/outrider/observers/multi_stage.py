@@ -6,13 +6,14 @@ What differs from the paper, and why, is in docs/observers/multi_stage.md.
 
 from __future__ import annotations
 
-from math import atan2, ceil, cos, exp, hypot, inf, log1p, pi, sin
+from math import atan2, ceil, cos, hypot, inf, pi, sin
 from typing import NamedTuple
 
 from outrider.certificate import Certificate
 from outrider.kernel import kernel, rk4, wrap
 from outrider.observers import Innovation, Measurement, Motion
 from outrider.observers._measured import directed, heading_or, pointed, seen
+from outrider.observers._path import chord, told, travel
 from outrider.observers._sampled import LEAST_DT
 
 reference = (
@@ -175,29 +176,17 @@ def predict(state: State, dt: float, gains: Gains) -> State:
     """State after dt [s] on its arc, acceleration fading, no jerk; a braking vehicle stops. Closed form."""
     if not 0.0 < dt < inf:
         return state
-    V, A, T = state.V, state.A, gains.coast
-    t = dt
-    if V * A < 0.0 and -V / (A * T) < 1.0:
-        t = min(dt, -T * log1p(V / (A * T)))  # until it stands
-    fade = exp(-t / T)
-    D = V * t + A * T * (t - T * (1.0 - fade))  # way
-    if t < dt:
-        V, A = 0.0, 0.0
-    else:
-        V, A = V + A * T * (1.0 - fade), A * fade
-    half = 0.5 * D * sin(state.beta) / gains.l_r  # half the turn: D times the curvature / 2
-    chord = D * (sin(half) / half if abs(half) > 1e-6 else 1.0 - half * half / 6.0)
-    chi = state.psi + state.beta + half
-    x, y = state.x + chord * cos(chi), state.y + chord * sin(chi)
-    return _limited(State(0.0, V, A, 0.0, state.psi + 2.0 * half, state.beta, x, y), 0.0, inf)
+    D, V, A = travel(state.V, state.A, dt, gains.coast)
+    dx, dy, turn = chord(D, state.psi + state.beta, sin(state.beta) / gains.l_r)
+    s = State(0.0, V, A, 0.0, state.psi + turn, state.beta, state.x + dx, state.y + dy)
+    return _limited(s, 0.0, inf)
 
 
 @kernel
 def motion(state: State, gains: Gains) -> Motion:
     """The state in common terms."""
     s = state
-    yaw_rate = s.V * sin(s.beta) / gains.l_r
-    return Motion(s.x, s.y, s.V, s.A, wrap(s.psi + s.beta), wrap(s.psi), s.beta, yaw_rate)
+    return told(s.x, s.y, s.V, s.A, s.psi, s.beta, gains.l_r)
 
 
 @kernel

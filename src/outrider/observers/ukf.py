@@ -16,16 +16,16 @@ from outrider.observers._bicycle import (
     aim,
     begin,
     bound,
+    correct_heading,
     disturb,
-    fade,
-    heading_scatter,
     scatter,
     spread_of,
-    travel,
     turn_round,
 )
-from outrider.observers._gaussian import cholesky, correct_one, correct_two, look_back, pack, unpack
+from outrider.observers._gaussian import cholesky, correct_two, look_back, pack, unpack
 from outrider.observers._measured import huber, pointed, seen
+from outrider.observers._path import chord, fade, travel
+from outrider.observers._path import told as in_common_terms
 
 reference = (
     "E. A. Wan and R. van der Merwe, The Unscented Kalman Filter for Nonlinear Estimation, AS-SPCC 2000; "
@@ -109,11 +109,7 @@ def step(state: State, previous: Measurement, measurement: Measurement, dt: floa
     if seen(y):
         _correct(x, P, L, y, gains)
         if told:
-            e, r = wrap(y.heading - x[0, 4]), heading_scatter(y, gains)
-            s = P[4, 4] + r
-            if gains.huber > 0.0 and e * e > gains.huber**2 * s:
-                r = sqrt(s) * abs(e) / gains.huber - P[4, 4]
-            correct_one(x, P, 4, e, r)
+            correct_heading(x, P, y, gains)
         elif x[0, 2] < -gains.reverse:
             turn_round(x, P)
     bound(x, P)
@@ -131,8 +127,7 @@ def predict(state: State, dt: float, gains: Gains) -> State:
 def motion(state: State, gains: Gains) -> Motion:
     """The state in common terms."""
     s = state
-    yaw_rate = s.V * sin(s.beta) / gains.l_r
-    return Motion(s.x, s.y, s.V, s.A, wrap(s.psi + s.beta), wrap(s.psi), s.beta, yaw_rate)
+    return in_common_terms(s.x, s.y, s.V, s.A, s.psi, s.beta, gains.l_r)
 
 
 @kernel
@@ -200,11 +195,12 @@ def _advance(x: Any, P: Any, L: Any, D: Any, dt: float, gains: Gains) -> None:
     a, v, s = fade(t, gains.coast)
     V, A, psi, beta = x[0, 2], x[0, 3], x[0, 4], x[0, 5]
     way, x[0, 2], x[0, 3] = travel(V, A, t, gains.coast)
-    dx, dy, turn = _arc(psi, beta, way, gains.l_r)
+    dx, dy, turn = chord(way, psi + beta, sin(beta) / gains.l_r)
     for k in range(8):
         i, h = (k, r) if k < 4 else (k - 4, -r)
         dV, dA, dpsi, dbeta = h * L[0, i], h * L[1, i], h * L[2, i], h * L[3, i]
-        ux, uy, u = _arc(psi + dpsi, beta + dbeta, way + dV * t + dA * s, gains.l_r)
+        slip = beta + dbeta
+        ux, uy, u = chord(way + dV * t + dA * s, psi + dpsi + slip, sin(slip) / gains.l_r)
         D[k, 0], D[k, 1] = h * L[4, i] + (ux - dx), h * L[5, i] + (uy - dy)
         D[k, 2], D[k, 3], D[k, 4], D[k, 5] = dV + dA * v, dA * a, dpsi + (u - turn), dbeta
         for j in range(6):
@@ -241,15 +237,6 @@ def _root(P: Any, L: Any) -> None:
         for i in range(6):
             P[i, i] += larger * (1.0 + P[i, i])
         larger *= 100.0
-
-
-@kernel
-def _arc(psi: float, beta: float, way: float, l_r: float) -> tuple[float, float, float]:
-    """Change of x, y, psi over a way on the arc of curvature sin(beta) / l_r."""
-    half = 0.5 * way * sin(beta) / l_r
-    chord = way * (sin(half) / half if abs(half) > 1e-4 else 1.0 - half * half / 6.0)
-    chi = psi + beta + half
-    return chord * cos(chi), chord * sin(chi), 2.0 * half
 
 
 @kernel

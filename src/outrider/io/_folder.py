@@ -1,0 +1,34 @@
+"""A folder for results: made, or empty, or to be replaced; what the file system refuses is one line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from outrider.errors import InputError, OutputError
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """OutputError, in one line, where the file system says no."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or error
+        raise OutputError(
+            f"{path}: cannot write ({reason}); what was written before stays readable; "
+            "free some space or name another folder with -o"
+        ) from error
+
+
+def prepare(folder: Path, force: bool = False) -> None:
+    """Make a folder for results; InputError where it is a file or not empty, unless `force`; OutputError."""
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is a file; want a folder for the results")
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.iterdir()) and not force:
+            raise InputError(
+                f"{folder}: not empty; name another folder or use --force to replace its results"
+            )
