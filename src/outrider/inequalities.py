@@ -41,9 +41,12 @@ def chain(n: int) -> Array:
     return np.eye(n, k=1)
 
 
-def alike(M: Array, axes: int = 2) -> Array:
-    """I (x) M: the same block for each of so many axes."""
-    return np.asarray(np.kron(np.eye(axes), M), float)
+def alike(M: Any, axes: int = 2) -> Any:
+    """I (x) M: the same block M, array or unknown, for each of so many axes."""
+    rows, columns = M.shape
+    E = [np.kron(np.eye(axes)[[i]], np.eye(rows)) for i in range(axes)]
+    K = [np.kron(np.eye(axes)[[i]], np.eye(columns)) for i in range(axes)]
+    return sum(e.T @ M @ k for e, k in zip(E, K, strict=True))
 
 
 # ------------------------------------------------------------------ given error dynamics A

@@ -51,14 +51,14 @@ def synthesise(
         if not 0.0 <= e.rate < e.fastest:
             raise InputError(f"rate {e.rate:g}, fastest {e.fastest:g}; want 0 <= rate < fastest [1/s]")
     one = symmetric(n // axes)
-    P = repeated(one, axes)
+    P = inequalities.alike(one, axes)
     Y = [unknown(n // axes, p // axes) for _ in entries]
     mu, margin = unknown(len(entries), positive=True), unknown()
 
     def conditions(mus: Any, slack: Any) -> list[Any]:
         out = [P >> slack * np.eye(n)]
         for i, e in enumerate(entries):
-            YT = repeated(Y[i], axes)
+            YT = inequalities.alike(Y[i], axes)
             for F in e.F:
                 A, N = F / T[:, None] * T, H * T
                 M = inequalities.estimate(A, N, G / T[:, None], C * T, P, YT, mus[i], e.rate, weight)
@@ -70,18 +70,10 @@ def synthesise(
     first = least(sum(mu), conditions(mu, 1e-6))
     fixed = np.maximum(value(mu, first, advice), 1e-9) * ROOM
     solved = least(-margin, conditions(fixed, margin))
-    P0 = np.asarray(repeated(value(one, solved, advice), axes))
-    gains = [T[:, None] * np.linalg.solve(P0, repeated(value(y, solved, advice), axes)) for y in Y]
+    P0 = np.asarray(inequalities.alike(value(one, solved, advice), axes))
+    gains = [T[:, None] * np.linalg.solve(P0, inequalities.alike(value(y, solved, advice), axes)) for y in Y]
     seconds = first.seconds + solved.seconds
     return gains, P0, [float(np.sqrt(m)) for m in fixed], solved._replace(seconds=seconds)
-
-
-def repeated(M: Any, axes: int) -> Any:
-    """I (x) M: the same block for each of `axes` alike parts."""
-    rows, columns = M.shape
-    E = [np.kron(np.eye(axes)[[i]], np.eye(rows)) for i in range(axes)]
-    K = [np.kron(np.eye(axes)[[i]], np.eye(columns)) for i in range(axes)]
-    return sum(e.T @ M @ k for e, k in zip(E, K, strict=True))
 
 
 def rounded(gain: Array, digits: int = 4) -> Array:
