@@ -124,7 +124,7 @@ def companion(speed: float, acceleration: float, yaw_rate: float) -> tuple[Array
 
 
 def _companion(k: float, r: float, kk: float, kr: float, rr: float) -> Array:
-    F = alike(chain(3))
+    F: Array = alike(chain(3))
     F[2, [1, 2, 4, 5]] = kk, 0.0, -kr, -2.0 * k
     F[5, [1, 2, 4, 5]] = -3.0 * kr, 3.0 * k, 2.0 * kk - 3.0 * rr, 3.0 * r
     return F
