@@ -27,6 +27,7 @@ LEVELS = [
     {"measured"},
     {"comparison"},
     {"plots_compare"},
+    {"reproduce"},
     {"__init__"},
     {"cli"},
     {"__main__"},
@@ -37,11 +38,11 @@ DOORS = {
     "mcap": {"io"},
     "foxglove": {"io"},
     "pyarrow": {"io"},
-    "matplotlib": {"plots", "plots_compare"},
+    "matplotlib": {"plots", "plots_compare", "reproduce"},
     "pooch": {"datasets"},
     "cyclopts": {"cli"},
     "rich": {"cli"},
-    "cvxpy": {"design"},
+    "clarabel": {"design"},
 }
 FILES = sorted(PACKAGE.rglob("*.py"))
 TREES = {path: ast.parse(path.read_text()) for path in FILES}

@@ -71,7 +71,7 @@ def test_a_step_has_the_poles_of_the_continuous_design(dt: float, course: float)
 
 
 def test_design_gives_the_gain_that_is_kept() -> None:
-    pytest.importorskip("cvxpy")
+    pytest.importorskip("clarabel")
     from outrider import design
 
     made = design.constant_velocity([10.0], math.radians(36.0), 0.5, rate=1.5, fastest=10.0)

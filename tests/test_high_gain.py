@@ -287,7 +287,7 @@ def test_errors_decay_step_by_step_as_certified() -> None:
 
 
 def test_design_gives_the_gains_that_are_kept() -> None:
-    pytest.importorskip("cvxpy")
+    pytest.importorskip("clarabel")
     from outrider import design
 
     made = design.high_gain(5.0, 3.0, 0.4, rate=0.5, fastest=8.0)

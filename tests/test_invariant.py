@@ -317,7 +317,7 @@ def test_smoothing_inverts_driving_and_cuts_the_error(lag: int) -> None:
 
 
 def test_the_shipped_proof_is_what_the_search_finds() -> None:
-    pytest.importorskip("cvxpy")
+    pytest.importorskip("clarabel")
     from benchmarks.certificates import invariant as search
 
     P, least = search.search(GAINS, search.SEARCHED)

@@ -1,15 +1,15 @@
 """Finds P of the invariant observer's certificate; `python -m benchmarks.certificates.invariant` prints it.
 
-CLARABEL is only asked for a candidate on a coarse grid; whether it proves anything is decided by the
+Clarabel is only asked for a candidate on a coarse grid; whether it proves anything is decided by the
 certificate, on its own grid, with NumPy. The shipped numbers are this P to six digits.
 """
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 
+from outrider import inequalities
+from outrider.design import Problem
 from outrider.observers import _invariant_proof as proof
 from outrider.observers.invariant import Gains
 from outrider.records import Array
@@ -27,19 +27,22 @@ def search(gains: Gains, decay: float, grid: tuple[int, int, int] = COARSE) -> t
 
 
 def _solve(matrices: Array) -> Array:
-    import cvxpy as cp
+    problem = Problem()
+    along, across, margin = problem.symmetric(3), problem.symmetric(4), problem.number()
 
-    along, across = cp.Variable((3, 3), symmetric=True), cp.Variable((4, 4), symmetric=True)
-    margin = cp.Variable()
-    P = cp.bmat([[along, np.zeros((3, 4))], [np.zeros((4, 3)), across]])
-    conditions = [np.eye(7) << P, P << CONDITION * np.eye(7)]
+    def whole(along: Array, across: Array) -> Array:
+        return np.block([[along, np.zeros((3, 4))], [np.zeros((4, 3)), across]])
+
+    def shrinks(along: Array, across: Array, margin: float, A: Array) -> Array:
+        M: Array = inequalities.decay(A, whole(along, across), 1.0, "sampled") + margin * np.eye(7)
+        return M
+
+    problem.below(lambda a, b: np.eye(7) - whole(a, b), along, across)
+    problem.below(lambda a, b: whole(a, b) - CONDITION * np.eye(7), along, across)
     for A in matrices:
-        S = P - A.T @ P @ A
-        conditions.append(0.5 * (S + S.T) >> margin * np.eye(7))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of inaccuracy: nothing is believed anyway
-        cp.Problem(cp.Maximize(margin), conditions).solve(solver=cp.CLARABEL)
-    return np.asarray(P.value)
+        problem.below(shrinks, along, across, margin, A=A)
+    solved = problem.minimise(margin, sign=-1.0)
+    return whole(*(problem.found(u, solved, "widen the gains") for u in (along, across)))
 
 
 def main() -> None:

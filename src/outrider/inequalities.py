@@ -1,11 +1,11 @@
-"""The matrix inequalities of all proofs, each written once, in operators that CVXPY and NumPy share.
+"""The matrix inequalities of all proofs, each written once, in plain operators.
 
 A quadratic form in several signals is written as it is spoken: `x, d = parts(n, k)` are the matrices that
 pick the error x (n) and the disturbance d (k) out of their stack, so `both(x.T @ P @ (A @ x + B @ d))` is the
 derivative of x'Px along x' = A x + B d. With the gain unknown, P A stands as P F - Y H where Y = P L.
 
-Unknowns (P, Y, multipliers, squared gains) may be arrays or CVXPY variables; all else is an array. Every
-function returns the symmetric matrix that must be negative (semi)definite unless it says positive.
+Each is affine in its unknowns (P, Y, multipliers, squared gains): `design` reads a solver's coefficients off
+its values, and a proof is checked by calling it with the numbers that were found. Every function returns the symmetric matrix that must be negative (semi)definite unless it says positive.
 
 [MS] Alai & Rajamani 2023, Multi-Stage Estimation Algorithm for Target Vehicle Trajectory Tracking.
 [HG] Alai, Zemouche & Rajamani, Vehicle Trajectory Estimation Using a High-Gain Multi-Output Observer.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, Literal
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from outrider import certificate, inequalities
 from outrider.certificate import Bound
-from outrider.design._solve import Solved, below, least, symmetric, unknown, value
+from outrider.design._solve import Problem
 from outrider.errors import NotCertified
 from outrider.inequalities import Form
 
@@ -43,7 +43,7 @@ def bound(
     """
     A, B = np.atleast_3d(A), np.atleast_3d(B)
     if kind == "energy":
-        g2, _, _ = _smallest(A, B, C, lambda A, B, P, g2: inequalities.energy(A, B, C, P, g2, form), of)
+        g2 = _smallest_energy(A, B, C, form, of)
         found = _widest(of, by, A, B, C, kind, form, np.sqrt(g2) * ROOM, 0.0)
     else:
         gain, a = _best_multiplier(A, B, C, form, of)
@@ -57,31 +57,57 @@ def smallest(condition: Callable[..., Any], n: int, multipliers: int = 0) -> flo
     """Smallest number mu for which some P (n, n) > 0 and multipliers make every condition negative.
 
     condition(P, multipliers, mu) gives one matrix or a list of them, such as [MS 36], [MS 58] and [MS 70]
-    with a known gain and Y = P @ L. It is what the solver says, and no proof; NotCertified where none exists.
+    with a known gain and Y = P @ L; multipliers (multipliers,) are at least 0. It is what the solver says,
+    and no proof; NotCertified where none exists.
     """
-    P, mu = symmetric(n), unknown()
-    free = unknown(multipliers, positive=True) if multipliers else None
-    matrices = condition(P, free, mu)
-    matrices = matrices if isinstance(matrices, Sequence) else [matrices]
-    solved = least(mu, [P >> 0, *(below(M) for M in matrices)])
-    if not solved.status.startswith("optimal"):
+    problem = Problem()
+    P, mu, free = problem.symmetric(n), problem.number(), problem.matrix(multipliers, 1)
+    problem.below(lambda P: -P, P)
+    if multipliers:
+        problem.below(lambda free: -np.diag(free[:, 0]), free)
+
+    def one(P: Array, free: Array, mu: float, k: int) -> Any:
+        return _listed(condition(P, free[:, 0], mu))[k]
+
+    for k in range(len(_listed(condition(np.zeros((n, n)), np.zeros(multipliers), 0.0)))):
+        problem.below(one, P, free, mu, k=k)
+    solved = problem.minimise(mu)
+    if not solved.optimal:
         raise NotCertified(f"no proof with this gain: the solver said {solved.status!r}")
-    return float(value(mu, solved, "change the gain"))
+    return float(problem.found(mu, solved, "change the gain"))
 
 
-def _smallest(
-    A: Array, B: Array, C: Array, condition: Callable[..., Any], of: str
-) -> tuple[float, Array, Solved]:
-    P, g2 = symmetric(A.shape[-1]), unknown()
-    constraints = [P >> 0, *(below(condition(a, b, P, g2)) for a, b in zip(A, B, strict=True))]
-    solved = least(g2, constraints)
-    if not solved.status.startswith("optimal"):
+def _listed(matrices: Any) -> list[Any]:
+    return list(matrices) if isinstance(matrices, list | tuple) else [matrices]
+
+
+def _smallest_energy(A: Array, B: Array, C: Array, form: Form, of: str) -> float:
+    """Smallest squared L2 gain that one P proves for the whole family."""
+    problem = Problem()
+    P, g2 = problem.symmetric(A.shape[-1]), problem.number()
+    problem.below(lambda P: -P, P)
+    for a, b in zip(A, B, strict=True):
+        problem.below(lambda P, g2, A, B: inequalities.energy(A, B, C, P, g2, form), P, g2, A=a, B=b)
+    solved = problem.minimise(g2)
+    if not solved.optimal:
         raise NotCertified(f"bound on {of}: the solver said {solved.status!r}; no common proof was found")
-    return float(value(g2, solved, "narrow the region")), value(P, solved, "narrow the region"), solved
+    return float(problem.found(g2, solved, "narrow the region"))
+
+
+def _smallest_peak(A: Array, B: Array, C: Array, form: Form, a: float) -> float:
+    """Smallest peak gain by an ellipsoid with the multiplier a; inf where there is none."""
+    problem = Problem()
+    P, g2 = problem.symmetric(A.shape[-1]), problem.number()
+    for p, b in zip(A, B, strict=True):
+        problem.below(lambda P, A, B: inequalities.ellipsoid(A, B, P, a, form), P, A=p, B=b)
+    problem.below(lambda P, g2: inequalities.inside(C, P, g2), P, g2)
+    solved = problem.minimise(g2)
+    found = problem.found(g2, solved, "") if solved.optimal else -1.0
+    return float(np.sqrt(found)) if found > 0.0 else np.inf
 
 
 def _best_multiplier(A: Array, B: Array, C: Array, form: Form, of: str) -> tuple[float, float]:
-    """Smallest peak gain and its multiplier: golden section over the logarithm, after a coarse look."""
+    """Smallest peak gain and its multiplier: golden section, after a coarse look."""
     poles = np.linalg.eigvals(A)
     if form == "continuous":
         limit = -2.0 * float(poles.real.max())
@@ -91,12 +117,7 @@ def _best_multiplier(A: Array, B: Array, C: Array, form: Form, of: str) -> tuple
         raise NotCertified(f"bound on {of}: the error dynamics is not stable; no bound exists")
 
     def gain(share: float) -> float:
-        a = share * limit
-        P, g2 = symmetric(A.shape[-1]), unknown()
-        conditions = [below(inequalities.ellipsoid(p, b, P, a, form)) for p, b in zip(A, B, strict=True)]
-        solved = least(g2, [below(inequalities.inside(C, P, g2)), *conditions])
-        good = solved.status.startswith("optimal") and g2.value is not None and g2.value > 0.0
-        return float(np.sqrt(g2.value)) if good else np.inf
+        return _smallest_peak(A, B, C, form, share * limit)
 
     shares = np.linspace(0.05, 0.95, 10)
     values = [gain(float(s)) for s in shares]
@@ -118,16 +139,24 @@ def _widest(
     of: str, by: str, A: Array, B: Array, C: Array, kind: Any, form: Form, gain: float, a: float
 ) -> Bound:
     """The bound with the P of the largest margin."""
-    n = A.shape[-1]
-    P, margin, g2 = symmetric(n), unknown(), float(gain) ** 2
-    constraints = [P >> margin * np.eye(n)]
-    if kind == "peak":
-        constraints.append(below(inequalities.inside(C, P, g2), margin * min(1.0, g2)))
-    for p, b in zip(A, B, strict=True):
+    n, g2, problem = A.shape[-1], float(gain) ** 2, Problem()
+    P, margin = problem.symmetric(n), problem.number()
+    problem.below(lambda P, margin: margin * np.eye(n) - P, P, margin)
+
+    def grown(P: Array, margin: float, A: Array, B: Array) -> Array:
         if kind == "peak":
-            M = inequalities.ellipsoid(p, b, P, a, form)
+            M = inequalities.ellipsoid(A, B, P, a, form)
         else:
-            M = inequalities.energy(p, b, C, P, g2, form)
-        constraints.append(below(M, margin))
-    solved = least(-margin, constraints)
-    return Bound(of, by, gain, False, kind, A, B, C, value(P, solved, "scale the states alike"), a)
+            M = inequalities.energy(A, B, C, P, g2, form)
+        return np.asarray(M + margin * np.eye(len(M)))
+
+    def reached(P: Array, margin: float) -> Array:
+        M = inequalities.inside(C, P, g2)
+        return np.asarray(M + min(1.0, g2) * margin * np.eye(len(M)))
+
+    if kind == "peak":
+        problem.below(reached, P, margin)
+    for p, b in zip(A, B, strict=True):
+        problem.below(grown, P, margin, A=p, B=b)
+    solved = problem.minimise(margin, sign=-1.0)
+    return Bound(of, by, gain, False, kind, A, B, C, problem.found(P, solved, "scale the states alike"), a)

@@ -34,7 +34,7 @@ def speed(rate: float = 0.4, fastest: float = 5.0) -> Design:
     rate: decay [1/s]; fastest: no pole further from 0 [1/s]. Bounds on speed and acceleration by the path's
     error, exact, and the energy bound with its P. NotCertified where there is none.
     """
-    F, H, C, T = family.speed_chain()[0], np.eye(1, 4), np.eye(4)[1:3], _powers(fastest, 4)
+    F, H, C, T = family.speed_chain()[0], np.eye(1, 4), np.eye(4)[1:3], _powers(np.sqrt(rate * fastest), 4)
     gains, _, _, solved = synthesise([Entry(F[None], rate, fastest)], H, C, scale=T)
     L = rounded(gains[0])
     return certify_speed(L[:, 0], rate, solved)

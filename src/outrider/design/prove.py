@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from outrider import inequalities
 from outrider.certificate import Bound, Certificate
-from outrider.design._solve import Solved, below, least, symmetric, unknown, value
+from outrider.design._solve import Problem, Solved
 from outrider.errors import NotCertified
 from outrider.family import Family, axes_of
 from outrider.inequalities import Form
@@ -39,21 +38,32 @@ def prove(
     refuse_unstable(observer, family, rate, form, "no proof over these corners can exist")
     n = family.matrices.shape[1]
     picks = axes_of(n, blocks or [[range(n)]])
-    unknowns = [symmetric(len(group[0])) for group in picks]
-    P: Any = sum(E.T @ M @ E for M, group in zip(unknowns, picks, strict=True) for E in group)
-    margin, one = unknown(), np.eye(n)
-    constraints = [P << one, P >> margin * one]
-    for A in np.unique(family.matrices, axis=0):
+    problem, one = Problem(), np.eye(n)
+    unknowns, margin = [problem.symmetric(len(group[0])) for group in picks], problem.number()
+
+    def whole(*blocks: Array) -> Array:
+        out: Array = sum(E.T @ M @ E for M, g in zip(blocks, picks, strict=True) for E in g) + np.zeros(
+            (n, n)
+        )
+        return out
+
+    def shrinks(margin: float, *blocks: Array, A: Array) -> Array:
         size = max(float(np.linalg.norm(A, 2)) ** (1 if form == "continuous" else 2), rate)
-        constraints.append(below(inequalities.decay(A, P, rate, form) / size, margin))
-    solved = least(-margin, constraints)
-    found = [value(M, solved, "lower the rate or narrow the region") for M in unknowns]
-    dense = [E.T @ M @ E for M, group in zip(found, picks, strict=True) for E in group]
+        M: Array = inequalities.decay(A, whole(*blocks), rate, form) / size + margin * one
+        return M
+
+    problem.below(lambda *M: whole(*M) - one, *unknowns)
+    problem.below(lambda margin, *M: margin * one - whole(*M), margin, *unknowns)
+    for A in np.unique(family.matrices, axis=0):
+        problem.below(shrinks, margin, *unknowns, A=A)
+    solved = problem.minimise(margin, sign=-1.0)
+    advice = "lower the rate or narrow the region"
+    P = whole(*(problem.found(M, solved, advice) for M in unknowns))
     certificate = Certificate(
         observer,
         form,
         family.matrices,
-        np.sum(dense, axis=0),
+        P,
         rate,
         dict(region),
         tuple(assumptions),

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from outrider import inequalities
-from outrider.design._solve import Solved, below, least, symmetric, unknown, value
+from outrider.design._solve import Problem, Solved
 from outrider.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -50,30 +50,46 @@ def synthesise(
     for e in entries:
         if not 0.0 <= e.rate < e.fastest:
             raise InputError(f"rate {e.rate:g}, fastest {e.fastest:g}; want 0 <= rate < fastest [1/s]")
-    one = symmetric(n // axes)
-    P = inequalities.alike(one, axes)
-    Y = [unknown(n // axes, p // axes) for _ in entries]
-    mu, margin = unknown(len(entries), positive=True), unknown()
-
-    def conditions(mus: Any, slack: Any) -> list[Any]:
-        out = [P >> slack * np.eye(n)]
-        for i, e in enumerate(entries):
-            YT = inequalities.alike(Y[i], axes)
-            for F in e.F:
-                A, N = F / T[:, None] * T, H * T
-                M = inequalities.estimate(A, N, G / T[:, None], C * T, P, YT, mus[i], e.rate, weight)
-                disc = inequalities.slower(A, N, P, YT, e.fastest) / e.fastest
-                out += [below(M, slack), below(disc, slack)]
-        return out
-
     advice = "lower the rate, raise `fastest`, or narrow the region"
-    first = least(sum(mu), conditions(mu, 1e-6))
-    fixed = np.maximum(value(mu, first, advice), 1e-9) * ROOM
-    solved = least(-margin, conditions(fixed, margin))
-    P0 = np.asarray(inequalities.alike(value(one, solved, advice), axes))
-    gains = [T[:, None] * np.linalg.solve(P0, inequalities.alike(value(y, solved, advice), axes)) for y in Y]
+
+    def noise(P: Array, Y: Array, mu: float, slack: float, F: Array, rate: float) -> Array:
+        P, Y = inequalities.alike(P, axes), inequalities.alike(Y, axes)
+        M = inequalities.estimate(F, H * T, G / T[:, None], C * T, P, Y, mu, rate, weight)
+        return np.asarray(M + slack * np.eye(len(M)))
+
+    def disc(P: Array, Y: Array, slack: float, F: Array, fastest: float) -> Array:
+        P, Y = inequalities.alike(P, axes), inequalities.alike(Y, axes)
+        M = inequalities.slower(F, H * T, P, Y, fastest) / fastest
+        return np.asarray(M + slack * np.eye(len(M)))
+
+    def solve(known: Array | None) -> tuple[Array, list[Array], Array, Solved]:
+        """P, all Y and all mu: least mu with a little slack, or the largest slack with mu known."""
+        problem = Problem()
+        one, slack = problem.symmetric(n // axes), problem.number()
+        Y = [problem.matrix(n // axes, p // axes) for _ in entries]
+        mu = [problem.number() for _ in entries]
+        problem.below(lambda P, s: s * np.eye(n // axes) - P, one, slack)
+        for i, e in enumerate(entries):
+            if known is not None:
+                problem.below(lambda m, most: m - most, mu[i], most=known[i])
+            for F in e.F:
+                problem.below(noise, one, Y[i], mu[i], slack, F=F / T[:, None] * T, rate=e.rate)
+                problem.below(disc, one, Y[i], slack, F=F / T[:, None] * T, fastest=e.fastest)
+        if known is None:
+            problem.below(lambda s: 1e-6 - s, slack)
+            solved = problem.minimise(*mu)
+        else:
+            solved = problem.minimise(slack, sign=-1.0)
+        found = [problem.found(u, solved, advice) for u in (one, *Y, *mu)]
+        return found[0], found[1 : len(Y) + 1], np.array(found[len(Y) + 1 :]), solved
+
+    *_, mu, first = solve(None)
+    fixed = np.maximum(mu, 1e-9) * ROOM
+    one, Y, _, solved = solve(fixed)
+    P = np.asarray(inequalities.alike(one, axes))
+    gains = [T[:, None] * np.linalg.solve(P, inequalities.alike(y, axes)) for y in Y]
     seconds = first.seconds + solved.seconds
-    return gains, P0, [float(np.sqrt(m)) for m in fixed], solved._replace(seconds=seconds)
+    return gains, P, [float(np.sqrt(m)) for m in fixed], solved._replace(seconds=seconds)
 
 
 def rounded(gain: Array, digits: int = 4) -> Array:

@@ -84,7 +84,7 @@ class Gains(NamedTuple):
     table: float = 0.0  # orientation gains: 0 those of Table I, 1 our own [-]
 
 
-DESIGNED = Gains(14.07, 59.01, 99.36, 61.62, L_w=19.56, table=1.0)
+DESIGNED = Gains(10.55, 38.64, 58.24, 31.34, L_w=19.56, table=1.0)
 
 
 class Output(NamedTuple):
