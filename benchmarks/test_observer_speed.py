@@ -10,7 +10,7 @@ import pytest
 import peer_filters
 import reference
 from conftest import SPEED
-from outrider import kernel, observers
+from outrider import compiler, observers
 
 TRACKS, SAMPLES = 100_000, 10
 NAMES = observers.names()
@@ -39,7 +39,7 @@ def test_batch(benchmark: Any, name: str) -> None:
     """10^5 tracks of ten samples, in turn with the same in C: microseconds a step."""
     observer, (y, dt) = observers.get(name), recordings()
     gains, out = observer.Gains(), np.empty((*dt.shape, len(observer.State._fields)))
-    run = kernel.batch(observer.start, observer.step, observer.State, observers.Measurement)
+    run = compiler.batch(observer.start, observer.step, observer.State, observers.Measurement)
     run(y[:10], dt[:10], gains, out[:10])  # compiles
     twin = reference.build(name) if reference.compiler() and name in reference.names() else None
     theirs = []

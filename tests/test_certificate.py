@@ -215,7 +215,7 @@ def test_what_is_no_certificate_is_refused_when_it_is_made() -> None:
 
 def test_the_report_says_what_is_proven() -> None:
     text = str(multi_stage.certificate())
-    assert text.startswith("multi_stage: proven, margin 2.5")
+    assert text.startswith("multi_stage: proven, margin 1.58e-04")
     for part in ("speed [m/s]: 1 to 20", "exp(-0.05 t)", "max |speed| <= 4.691 max |path|, exact", "assumes"):
         assert part in text
     assert "NOT PROVEN" in str(dataclasses.replace(multi_stage.certificate(), rate=1.0))
@@ -226,7 +226,8 @@ def test_the_whole_cascade_is_proven_with_the_table_switched_at_will() -> None:
     for gains in (multi_stage.Gains(), multi_stage.DESIGNED):
         proof = multi_stage.certificate(gains)
         assert proof.margin() > 1e-4
-        assert proof.matrices.shape == (336, 8, 8)
+        assert proof.matrices.shape[1:] == (8, 8)
+        assert len(proof.matrices) == len(proof.corners) == (32 if gains.psi_V else 336)
     wrong = multi_stage.Gains(orientation=-1.0)
     assert not multi_stage.certificate(wrong).proven()
 

@@ -75,8 +75,7 @@ def test_design_gives_the_gain_that_is_kept() -> None:
     from outrider import design
 
     made = design.constant_velocity([10.0], math.radians(36.0), 0.5, rate=1.5, fastest=10.0)
-    L = [[DESIGNED.L_x, 0.0], [0.0, DESIGNED.L_y], [0.0, DESIGNED.L_psi], [0.0, DESIGNED.L_beta]]
-    assert made.gain == pytest.approx(np.array(L), rel=1e-3)
+    assert made.gain[:4] == pytest.approx(DESIGNED[:4], rel=1e-3)
     assert made.certificate.proven()
 
 
@@ -121,18 +120,21 @@ def test_one_gain_serves_all_headings(course: float, ey: float, turn: float) -> 
 # ---------------------------------------------------------------- proof
 
 
+CERTIFICATE = constant_velocity.certificate()
+
+
 @settings(max_examples=150)
 @given(
     course=st.floats(-3.0, 3.0),
     slips=st.tuples(st.floats(-0.06, 0.06), st.floats(-0.06, 0.06)),
     error=st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(-0.9, 0.9)),
-    dt=st.sampled_from(_constant_velocity_proof.DTS),
+    dt=st.sampled_from((0.05, 0.1, 0.15, 0.2, 0.25)),
 )
 def test_the_true_error_decays_as_certified(
     course: float, slips: tuple[float, float], error: tuple[float, float, float], dt: float
 ) -> None:
     """A bicycle and the observer, course up to 50 deg wrong: e'Pe falls in each step, nothing linearised."""
-    c, g = constant_velocity.certificate(), TURNED
+    c, g, (window, turn) = CERTIFICATE, TURNED, (math.pi / 3.0, 1.0)
     V, pace = g.speed, _constant_velocity_proof.PACE
     S = np.array([1.0, 1.0, V * pace, (V * pace) ** 2 / g.l_r])
     true = bicycle.State(0.0, 0.0, V, 0.0, course - slips[0], slips[0])
@@ -154,8 +156,8 @@ def test_the_true_error_decays_as_certified(
         after = constant_velocity.step(s, y, y, dt, g)
         wrong = wrap(true.psi + true.beta - s.psi - s.beta)
         later = wrap(moved.psi + moved.beta - p.psi - p.beta)
-        inside = max(abs(wrong), abs(later)) < _constant_velocity_proof.WINDOW
-        inside &= abs(turned) < _constant_velocity_proof.TURN * dt and abs(after.beta) < SLIP_MAX
+        inside = max(abs(wrong), abs(later)) < window
+        inside &= abs(turned) < turn * dt and abs(after.beta) < SLIP_MAX
         if not inside:
             break
         assert size(moved, after, p.psi + p.beta) <= c.rate**2 * size(true, s, frame) + 1e-15
@@ -168,7 +170,7 @@ def test_a_wrong_proof_is_refused() -> None:
     assert not replace(c, rate=0.8).proven()
     assert not replace(c, P=np.eye(4)).proven()
     worse = DESIGNED._replace(L_psi=30.0)
-    assert not _constant_velocity_proof.certificate(worse).proven()
+    assert not constant_velocity.certificate(worse).proven()
 
 
 # ---------------------------------------------------------------- the published cases

@@ -291,7 +291,7 @@ def test_design_gives_the_gains_that_are_kept() -> None:
     from outrider import design
 
     made = design.high_gain(5.0, 3.0, 0.4, rate=0.5, fastest=8.0)
-    assert made.gain == pytest.approx(DESIGNED[:3], rel=1e-3)
+    assert made.gain[:3] == pytest.approx(DESIGNED[:3], rel=1e-3)
     assert made.certificate.proven()
 
 

@@ -148,12 +148,12 @@ def test_the_certificate_holds_and_fails_for_other_gains() -> None:
     assert c.proven()
     assert len(c.matrices) == len(proof.WEIGHTS) * 2 * math.prod(proof.GRID)
     for change in ({"tau": 0.14}, {"arc": 1.2}, {"arc": 4.6}, {"turn": 3.5}, {"relax": 10.0}, {"l_r": 1.0}):
-        assert proof.certificate(GAINS._replace(**change)).margin() < 0.0
+        assert inv.certificate(GAINS._replace(**change)).margin() < 0.0
 
 
 def test_the_certificate_holds_between_the_grid_points() -> None:
     """A'PA is convex in A: what A differs from interpolation must fit in the margin; it is taken twice."""
-    T = np.linalg.cholesky(proof.lyapunov()).T
+    T = np.linalg.cholesky(inv.certificate().P).T
     back = np.linalg.inv(T)
     dts, speeds, rates, accelerations, *_ = proof.REGION.values()
     axes = np.geomspace(*dts, 12), np.geomspace(*speeds, 33), np.linspace(0.0, rates[1], 7)
@@ -182,7 +182,7 @@ def test_small_errors_shrink_no_slower_than_certified(seed: int) -> None:
     """Any heading, any path of the region, irregular samples, headings that come and go, noise-free."""
     rng = np.random.default_rng(seed)
     dts, _, rates, *_ = proof.REGION.values()
-    P = proof.lyapunov()
+    P = inv.certificate().P
     true = rolling(rng.uniform(-3.0, 3.0), rng.uniform(7.0, 23.0), rng.uniform(*rates) * 0.9)
     e = 1e-5 * rng.normal(size=7)
     s = moved(true, e)
@@ -314,12 +314,3 @@ def test_smoothing_inverts_driving_and_cuts_the_error(lag: int) -> None:
     a = inv.State(*map(float, s[0, 50]))
     back = inv.smooth(a, inv._driven(a, 0.1, GAINS), 0.1, GAINS)
     assert back[:6] == pytest.approx(a[:6], abs=1e-9)
-
-
-def test_the_shipped_proof_is_what_the_search_finds() -> None:
-    pytest.importorskip("clarabel")
-    from benchmarks.certificates import invariant as search
-
-    P, least = search.search(GAINS, search.SEARCHED)
-    assert least > 0.0
-    assert P / np.linalg.eigvalsh(P)[0] == pytest.approx(proof.lyapunov(), rel=1e-2, abs=1e-2)

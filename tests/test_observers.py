@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from outrider import kernel, observers
+from outrider import compiler, kernel, observers
 from outrider.errors import InputError
 from outrider.observers import Measurement, Motion
 
@@ -262,7 +262,7 @@ def certificate():
 def test_a_new_observer_is_one_file(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     name = "alpha_beta"
     (tmp_path / f"{name}.py").write_text(ALPHA_BETA)
-    monkeypatch.setattr(kernel.numba.config, "CACHE_DIR", str(tmp_path))  # the file will be gone
+    monkeypatch.setattr(compiler.numba.config, "CACHE_DIR", str(tmp_path))  # the file will be gone
     monkeypatch.setattr(observers, "__path__", [*observers.__path__, str(tmp_path)])
     assert observers.names() == sorted([*NAMES, name])
     observer = observers.get(name)

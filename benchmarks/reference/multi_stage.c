@@ -11,18 +11,13 @@ static const double L_PSI[SPEEDS] = {0.89, 0.98, 1.37, 1.76, 2.52, 3.67, 5.47, 8
                                      6.60, 7.14, 7.70, 8.27, 8.84, 9.42, 9.99, 10.49, 10.97, 11.44};
 static const double L_BETA[SPEEDS] = {0.25, 0.27, 0.30, 0.33, 0.37, 0.50, 0.70, 0.99, 1.17, 0.66, 0.68,
                                       0.71, 0.74, 0.77, 0.79, 0.82, 0.85, 0.88, 0.89, 0.91, 0.92};
-static const double OUR_PSI[SPEEDS] = {0.9299, 1.075, 1.231, 1.487, 1.767, 2.045, 2.323, 2.602, 2.88, 3.159,
-                                       3.437, 3.716, 3.994, 4.273, 4.551, 4.83, 5.108, 5.387, 5.665, 5.942,
-                                       6.238};
-static const double OUR_BETA[SPEEDS] = {0.3391, 0.3861, 0.3863, 0.4271, 0.4639, 0.5052, 0.5489, 0.5946, 0.6416,
-                                        0.6895, 0.7381, 0.7873, 0.837, 0.8871, 0.9375, 0.9882, 1.039, 1.09,
-                                        1.142, 1.193, 1.282};
 
 typedef struct { double S, V, A, J, psi, beta, x, y; } State;
 typedef struct { double S, alpha, psi, x, y; } Output;
 typedef struct { double L_S, L_V, L_A, L_J, L_psi, L_beta, L_heading, L_w, l_r; } Coefficients;
 typedef struct {
-    double L_S, L_V, L_A, L_J, L_w, l_r, speed, orientation, heading, noise, gate, coast, reverse, table;
+    double L_S, L_V, L_A, L_J, L_w, l_r, speed, orientation, heading, noise, gate, coast, reverse;
+    double psi_0, psi_V, beta_0, beta_V;
 } Gains;
 
 static inline State rhs(const State *s, const Output *y, const Coefficients *c) {
@@ -74,9 +69,9 @@ static Coefficients coefficients(const State *s, const Measurement *y, int moved
     double speed = fabs(s->V);
     while (i + 1 < SPEEDS && fabs(NOMINAL[i + 1] - speed) < fabs(NOMINAL[i] - speed)) i++;
     double L_psi = g->orientation * L_PSI[i], L_beta = g->orientation * L_BETA[i], L_heading = 0.0;
-    if (g->table > 0.5) {
-        L_psi = g->orientation * OUR_PSI[i];
-        L_beta = g->orientation * OUR_BETA[i];
+    if (g->psi_V > 0.0) {
+        L_psi = g->orientation * (g->psi_0 + g->psi_V * speed);
+        L_beta = g->orientation * (g->beta_0 + g->beta_V * speed);
     }
     if (s->V < 0.0) {
         L_psi = L_psi + 2.0 * L_beta;

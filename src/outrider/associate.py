@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from outrider import predictor
+from outrider.compiler import compiled
 from outrider.geometry import rotate
-from outrider.kernel import compiled, kernel
+from outrider.kernel import kernel
 from outrider.records import Array, Bools, Detections, Ints, Kind, Scan
 from outrider.rectangle import MOST_HITS, copy, fit_sized, solve3
 from outrider.segment import Segments

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from outrider.compiler import compiled
 from outrider.geometry import wrap
-from outrider.kernel import compiled
 from outrider.records import Array, Bools, Ints, Scan
 
 # length, width, and how sure [m]: car, two-wheeler, pedestrian or part of something

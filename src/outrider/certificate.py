@@ -9,7 +9,7 @@ What the numbers say and do not say is in docs/proofs.md.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
@@ -72,14 +72,12 @@ class Bound:
         P, g2 = self.P, self.gain**2
         slack = [relative(-P, _size(P))]
         if self.kind == "peak":
-            slack.append(relative(inequalities.inside(self.C, P, g2), max(_size(P), g2)))
-        for A, B in zip(self.A, self.B, strict=True):
-            if self.kind == "peak":
-                M = inequalities.ellipsoid(A, B, P, self.a, form)
-            else:
-                M = inequalities.energy(A, B, self.C, P, g2, form)
-            slack.append(relative(M, _size(A.T @ P) + _size(P @ B) + _size(P)))
-        return min(slack)
+            slack.append(relative(inequalities.inside(self.C / self.gain, P, 1.0), max(_size(P), 1.0)))
+        if self.kind == "peak":
+            M = inequalities.ellipsoid(self.A, self.B, P, self.a, form)
+        else:
+            M = inequalities.energy(self.A, self.B, self.C, P, g2, form)
+        return min(*slack, relative(M, _size(self.A.mT @ P) + _size(P @ self.B) + _size(P)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +92,7 @@ class Certificate:
     region: Mapping[str, tuple[float, float]]  # quantity with unit -> from, to
     assumptions: tuple[str, ...]  # what must hold besides, one sentence each
     bounds: tuple[Bound, ...] = field(default=())
+    corners: tuple[str, ...] = field(default=())  # (m,) what each matrix is, for messages; () unknown
 
     def __post_init__(self) -> None:
         """Arrays made float and read-only; InputError for shapes that do not fit or a number not finite."""
@@ -118,13 +117,11 @@ class Certificate:
             return -np.inf
         P = 0.5 * (self.P + self.P.T)
         slack = [relative(-P, _size(P)), *(bound.margin(self.form) for bound in self.bounds)]
-        for A in self.matrices:
-            if self.form == "continuous":
-                size = _size(A.T @ P) + self.rate * _size(P)
-            else:
-                size = _size(A.T @ P @ A) + self.rate**2 * _size(P)
-            slack.append(relative(inequalities.decay(A, P, self.rate, self.form), size))
-        return min(slack)
+        if self.form == "continuous":
+            size = _size(self.matrices.mT @ P) + self.rate * _size(P)
+        else:
+            size = _size(self.matrices.mT @ P @ self.matrices) + self.rate**2 * _size(P)
+        return min(*slack, relative(inequalities.decay(self.matrices, P, self.rate, self.form), size))
 
     def tolerance(self) -> float:
         """What rounding alone can make of a margin: 100 n machine epsilons."""
@@ -133,6 +130,11 @@ class Certificate:
     def proven(self) -> bool:
         """Whether the margin is beyond rounding."""
         return self.margin() > self.tolerance()
+
+    def failing(self) -> str:
+        """Why nothing is proven, in words: the matrix and its eigenvalue where one alone is too slow."""
+        found = unstable(self.matrices, self.corners, self.rate, self.form)
+        return found or f"margin {self.margin():.1e}, want more than {self.tolerance():.0e}: P proves nothing"
 
     def __str__(self) -> str:
         """A report to read: region, rate, bounds, margin, assumptions."""
@@ -182,9 +184,28 @@ def load(path: str | Path) -> Certificate:
         content["bounds"] = tuple(Bound(**bound) for bound in content["bounds"])
         content["region"] = {str(name): (float(a), float(b)) for name, (a, b) in content["region"].items()}
         content["assumptions"] = tuple(map(str, content["assumptions"]))
+        content["corners"] = tuple(map(str, content.get("corners", ())))
         return Certificate(**content)
     except (TypeError, KeyError, ValueError, AttributeError) as error:
         raise InputError(f"{path}: not a whole certificate ({error}); make it anew") from error
+
+
+def unstable(matrices: Array, corners: Sequence[str], rate: float, form: Form) -> str:
+    """Which of the matrices (m, n, n) alone does not decay at `rate`, worst first; "" where all do."""
+    poles = np.linalg.eigvals(matrices)
+    pace = poles.real if form == "continuous" else np.abs(poles)
+    i, j = (int(k) for k in np.unravel_index(int(np.argmax(pace)), pace.shape))
+    limit = 0.0 - rate if form == "continuous" else rate
+    if pace[i, j] < limit:
+        return ""
+    pole = complex(poles[i, j])
+    where = corners[i] if len(corners) == len(matrices) else f"matrix {i} of {len(matrices)}"
+    imaginary = f"{pole.imag:+.4g}i" if pole.imag else ""
+    part = "its real part" if form == "continuous" else "its magnitude"
+    return (
+        f"at {where} the frozen error dynamics has the eigenvalue {pole.real:+.4g}{imaginary}, want {part} "
+        f"below {limit:g}"
+    )
 
 
 def peak(A: Array, B: Array, C: Array, form: Form) -> float:
@@ -238,15 +259,16 @@ def _exponential(M: Array) -> Array:
     return total
 
 
-def relative(M: Array, size: float) -> float:
-    """Slack of M < 0: minus its largest eigenvalue, relative to `size`; -inf where M is not finite."""
+def relative(M: Array, size: Any) -> float:
+    """Slack of M < 0, of all in a stack: minus the largest eigenvalue over `size`; -inf where not finite."""
     if not np.isfinite(M).all():
         return -np.inf
-    return -float(np.linalg.eigvalsh(0.5 * (M + M.T))[-1]) / size
+    return float((-np.linalg.eigvalsh(0.5 * (M + M.mT))[..., -1] / size).min())
 
 
-def _size(M: Array) -> float:
-    return max(float(np.linalg.norm(M, 2)), float(np.finfo(float).tiny))
+def _size(M: Array) -> Any:
+    """Spectral norm of each matrix."""
+    return np.maximum(np.linalg.norm(M, 2, axis=(-2, -1)), np.finfo(float).tiny)
 
 
 def _arrays(record: Any, *names: str) -> None:

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from outrider.kernel import compiled, kernel
+from outrider.compiler import compiled
+from outrider.kernel import kernel
 from outrider.records import Array, Bools, Scan
 
 SAME, FARTHER, NEARER, NOTHING = 0, 1, 2, 3

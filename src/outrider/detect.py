@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from outrider.kernel import compiled
+from outrider.compiler import compiled
 from outrider.records import Array, Detections, Ints, Kind, Scan
 from outrider.rectangle import MOST_HITS, fit_closeness
 from outrider.segment import Segments, segment

@@ -16,9 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from outrider.errors import InputError
-from outrider.inequalities import SLIP, alike, chain, parts
+from outrider.inequalities import SLIP, alike, chain
 
 Array = npt.NDArray[np.float64]
+
+CHAINS: Array = alike(chain(3))  # (6, 6) position, velocity, acceleration of each axis
 
 
 class Family(NamedTuple):
@@ -28,6 +30,15 @@ class Family(NamedTuple):
     corners: tuple[str, ...]
 
 
+class Point(NamedTuple):
+    """Orientation gains in use at a true speed: a corner of what a table or a line may give."""
+
+    name: str
+    speed: float  # true one [m/s]
+    psi: float  # [1/s]
+    beta: float  # [1/s]
+
+
 class Table(NamedTuple):
     """Orientation gains by nominal speed, (k,) each; the nearest entry is used, no interpolation."""
 
@@ -35,19 +46,48 @@ class Table(NamedTuple):
     psi: Sequence[float]  # [1/s]
     beta: Sequence[float]  # [1/s]
 
+    def points(self, mismatch: float) -> list[Point]:
+        """Both ends of the true speeds at which each entry may be in use."""
+        spans = self.spans(mismatch)
+        return [
+            Point(f"entry {v:g} m/s used at {V:.3g} m/s", V, psi, beta)
+            for v, psi, beta, span in zip(*self, spans, strict=True)
+            for V in span
+        ]
 
-def spans(speed: Sequence[float], mismatch: float) -> list[tuple[float, float]]:
-    """True speeds (k, 2) at which each entry of a table may be in use [m/s].
+    def spans(self, mismatch: float) -> list[tuple[float, float]]:
+        """True speeds (k, 2) at which each entry may be in use [m/s].
 
-    From half way to the entry below to half way to the one above, and `mismatch` [-] of that further, since
-    the estimated speed chooses; the first and last entry end at their own speed.
-    """
-    v = np.asarray(speed, float)
-    middle = 0.5 * (v[1:] + v[:-1])
-    low, high = np.r_[v[0], middle], np.r_[middle, v[-1]]
-    return [
-        (float(a * (1.0 - mismatch)), float(b * (1.0 + mismatch))) for a, b in zip(low, high, strict=True)
-    ]
+        From half way to the entry below to half way to the one above, and `mismatch` [-] of that further,
+        since the estimated speed chooses; the first and last entry end at their own speed.
+        """
+        v = np.asarray(self.speed, float)
+        middle = 0.5 * (v[1:] + v[:-1])
+        low, high = np.r_[v[0], middle], np.r_[middle, v[-1]]
+        return [
+            (float(a * (1.0 - mismatch)), float(b * (1.0 + mismatch))) for a, b in zip(low, high, strict=True)
+        ]
+
+
+class Line(NamedTuple):
+    """Orientation gains a + b V in the estimated speed V: nothing switches."""
+
+    low: float  # speeds it is for [m/s]
+    high: float  # [m/s]
+    psi: tuple[float, float]  # a [1/s], b [1/m]
+    beta: tuple[float, float]  # a [1/s], b [1/m]
+
+    def points(self, mismatch: float) -> list[Point]:
+        """Four: both ends, with the true speed off by `mismatch` [-] to either side.
+
+        Model and gain are affine in the true and the estimated speed, so what is in between lies between.
+        """
+        (p, q), (r, s) = self.psi, self.beta
+        return [
+            Point(f"estimated {v:g} m/s, true {V:.3g} m/s", V, p + q * v, r + s * v)
+            for v in (self.low, self.high)
+            for V in (v * (1.0 - mismatch), v * (1.0 + mismatch))
+        ]
 
 
 def speed_chain() -> Array:
@@ -64,13 +104,23 @@ def orientation(low: float, high: float, l_r: float = 2.0, slip: float = SLIP) -
     return np.array([[[0.0, product / l_r], [0.0, 0.0]] for product in (low * cos(slip), high)])
 
 
+def orientation_errors(points: Sequence[Point], l_r: float = 2.0, slip: float = SLIP) -> Family:
+    """Error dynamics (m, 2, 2) of yaw and slip at each point, at both ends of the slope of sin(slip)."""
+    matrices, corners = [], []
+    for name, V, psi, beta in points:
+        for k in (cos(slip), 1.0):
+            matrices.append([[-psi, V * k / l_r - psi], [-beta, -beta]])
+            corners.append(f"{name}, slope {k:.2f}")
+    return Family(np.array(matrices), tuple(corners))
+
+
 def multi_stage(
     L_s: Sequence[float],
-    table: Table,
+    points: Sequence[Point],
     L_w: float,
     heading: float = 0.0,
-    mismatch: float = 0.1,
     l_r: float = 2.0,
+    slip: float = SLIP,
 ) -> Family:
     """Error dynamics (m, 8, 8) of the whole cascade: (S, V, A, J), (psi, beta), (along, across) the course.
 
@@ -80,18 +130,17 @@ def multi_stage(
     """
     T = scale_multi_stage()
     matrices, corners = [], []
-    psi_of, beta_of = table.psi, table.beta
-    for i, span in enumerate(spans(table.speed, mismatch)):
-        for V, k, b, h in product(span, (cos(slip := SLIP), 1.0), (-sin(slip), sin(slip)), {0.0, heading}):
+    for name, V, psi, beta in points:
+        for k, b, h in product((cos(slip), 1.0), (-sin(slip), sin(slip)), sorted({0.0, heading})):
             A = np.zeros((8, 8))
             A[:4, :4] = chain(4) - np.outer(L_s, np.eye(4)[0])
-            A[4, 4:6] = -psi_of[i] - h, V * k / l_r - psi_of[i]
-            A[5, 4:6] = -beta_of[i]
+            A[4, 4:6] = -psi - h, V * k / l_r - psi
+            A[5, 4:6] = -beta
             A[4, 1] = b / l_r
             A[6, 1], A[7, 4:6] = 1.0, V
             A[6, 6] = A[7, 7] = -L_w
             matrices.append(A / T[:, None] * T)
-            corners.append(f"entry {table.speed[i]:g} m/s used at {V:.3g} m/s, slope {k:.2f}, heading {h:g}")
+            corners.append(f"{name}, slope {k:.2f}, slip {b:+.2f}, heading {h:g}")
     return Family(np.array(matrices), tuple(corners))
 
 
@@ -124,7 +173,7 @@ def companion(speed: float, acceleration: float, yaw_rate: float) -> tuple[Array
 
 
 def _companion(k: float, r: float, kk: float, kr: float, rr: float) -> Array:
-    F: Array = alike(chain(3))
+    F = CHAINS.copy()
     F[2, [1, 2, 4, 5]] = kk, 0.0, -kr, -2.0 * k
     F[5, [1, 2, 4, 5]] = -3.0 * kr, 3.0 * k, 2.0 * kk - 3.0 * rr, 3.0 * r
     return F
@@ -145,6 +194,14 @@ def frozen_high_gain(L: Sequence[float], speed: float, acceleration: float, yaw_
         matrices.append(_companion(k, r, k * k, k * r, r * r))
         corners.append(f"course rate {k:.3g} rad/s, acceleration / speed {r:.3g} 1/s")
     return Family(_closed(np.array(matrices), L), tuple(corners))
+
+
+def high_gain_box(L: Sequence[float], speed: float, acceleration: float, yaw_rate: float) -> Family:
+    """As `high_gain`, with k, r, k^2, k r, r^2 free of each other: 32 corners, which prove less."""
+    K, R = yaw_rate, acceleration / speed
+    box = list(product((-K, K), (-R, R), (0.0, K * K), (-K * R, K * R), (0.0, R * R)))
+    corners = tuple(f"(k, r, k^2, k r, r^2) = ({', '.join(f'{x:.3g}' for x in corner)})" for corner in box)
+    return Family(_closed(np.array([_companion(*corner) for corner in box]), L), corners)
 
 
 def _closed(F: Array, L: Sequence[float]) -> Array:
@@ -175,9 +232,3 @@ def constant_velocity(
         matrices.append(F)
         corners.append(f"{V:g} m/s, sin {s:.2f}, cos {c:.2f} of the course, yaw rate {w:g} rad/s")
     return np.array(matrices), tuple(corners)
-
-
-def axes_of(n: int, groups: Sequence[Sequence[Sequence[int]]]) -> list[list[Array]]:
-    """Picking matrices of a block diagonal P (n, n): a group's state lists share one block."""
-    one = parts(*[1] * n)
-    return [[np.vstack([one[i] for i in states]) for states in group] for group in groups]

@@ -5,7 +5,8 @@ pick the error x (n) and the disturbance d (k) out of their stack, so `both(x.T 
 derivative of x'Px along x' = A x + B d. With the gain unknown, P A stands as P F - Y H where Y = P L.
 
 Each is affine in its unknowns (P, Y, multipliers, squared gains): `design` reads a solver's coefficients off
-its values, and a proof is checked by calling it with the numbers that were found. Every function returns the symmetric matrix that must be negative (semi)definite unless it says positive.
+its values, and a proof is checked by calling it with the numbers that were found. Every function returns the
+symmetric matrix that must be negative (semi)definite unless it says positive.
 
 [MS] Alai & Rajamani 2023, Multi-Stage Estimation Algorithm for Target Vehicle Trajectory Tracking.
 [HG] Alai, Zemouche & Rajamani, Vehicle Trajectory Estimation Using a High-Gain Multi-Output Observer.
@@ -27,8 +28,8 @@ SLIP = pi / 9.0  # largest slip, [MS 8] [rad]
 
 
 def both(M: Any) -> Any:
-    """M + M', twice the symmetric part of M (n, n)."""
-    return M + M.T
+    """M + M', twice the symmetric part of M (n, n) or of each of a stack (m, n, n)."""
+    return M + M.mT
 
 
 def parts(*sizes: int) -> list[Array]:
@@ -41,31 +42,28 @@ def chain(n: int) -> Array:
     return np.eye(n, k=1)
 
 
-def alike(M: Any, axes: int = 2) -> Any:
-    """I (x) M: the same block M, array or unknown, for each of so many axes."""
-    rows, columns = M.shape
-    E = [np.kron(np.eye(axes)[[i]], np.eye(rows)) for i in range(axes)]
-    K = [np.kron(np.eye(axes)[[i]], np.eye(columns)) for i in range(axes)]
-    return sum(e.T @ M @ k for e, k in zip(E, K, strict=True))
+def alike(M: Array, axes: int = 2) -> Array:
+    """I (x) M: the same block M for each of so many axes."""
+    return np.asarray(np.kron(np.eye(axes), M), float)
 
 
-# ------------------------------------------------------------------ given error dynamics A
+# ------------------------------------------------------------------ given error dynamics A, one or a stack
 
 
 def decay(A: Any, P: Any, rate: float, form: Form) -> Any:
     """e'Pe falls at least at the rate: as exp(-2 rate t), or by rate^2 a step."""
     if form == "continuous":
         return both(P @ A) + 2.0 * rate * P
-    return A.T @ P @ A - rate**2 * P
+    return A.mT @ P @ A - rate**2 * P
 
 
 def flow(A: Any, B: Any, P: Any, form: Form, keep: Any = 1.0) -> Any:
     """Growth of x'Px along x' = A x + B d as a form in (x, d); sampled: P at the next step minus keep P."""
-    x, d = parts(A.shape[0], B.shape[1])
+    x, d = parts(A.shape[-2], B.shape[-1])
     to = A @ x + B @ d
     if form == "continuous":
         return both(x.T @ P @ to)
-    return to.T @ P @ to - keep * (x.T @ P @ x)
+    return to.mT @ P @ to - keep * (x.T @ P @ x)
 
 
 def ellipsoid(A: Any, B: Any, P: Any, a: float, form: Form) -> Any:
@@ -73,7 +71,7 @@ def ellipsoid(A: Any, B: Any, P: Any, a: float, form: Form) -> Any:
 
     Abedor, Nagpal & Poolla, A linear matrix inequality approach to peak-to-peak gain minimization, 1996.
     """
-    x, d = parts(A.shape[0], B.shape[1])
+    x, d = parts(A.shape[-2], B.shape[-1])
     if form == "continuous":
         return flow(A, B, P, form) + a * (x.T @ P @ x) - a * (d.T @ d)
     return flow(A, B, P, form, 1.0 - a) - a * (d.T @ d)
@@ -87,7 +85,7 @@ def inside(C: Any, P: Any, gain2: Any) -> Any:
 
 def energy(A: Any, B: Any, C: Any, P: Any, gain2: Any, form: Form) -> Any:
     """The energy of C x is at most gain2 times that of d: the bounded-real lemma."""
-    x, d = parts(A.shape[0], B.shape[1])
+    x, d = parts(A.shape[-2], B.shape[-1])
     return flow(A, B, P, form) + x.T @ (C.T @ C) @ x - gain2 * (d.T @ d)
 
 
@@ -152,7 +150,7 @@ def orientation(
 
     Signals z = (yaw, slip), f = sin(slip) error, v = speed error times sin(slip) / l_r, d_z. Multipliers
     (2,) >= 0: of both conditions on f in [MS 44-45]; tight: the first alone, of the sector cos(20 deg) to 1.
-    v counts 36 times, since sin(20 deg) / l_r < 1/6.
+    v counts 36 times, as printed for sin(20 deg) / l_r, which is 0.171, about 1/6.
     """
     z, f, v, d = parts(2, 1, 1, 1)
     G, H, b = np.eye(2, 1), np.ones((1, 2)), np.array([[0.0, 1.0]]) @ z

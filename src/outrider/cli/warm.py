@@ -14,9 +14,9 @@ def compiling_beside(observer: str) -> Iterator[None]:
 
     What that process leaves in the cache is found by this one; if it fails, this one compiles as usual.
     """
-    from outrider import kernel
+    from outrider import compiler
 
-    if not kernel.cold():
+    if not compiler.cold():
         yield
         return
     quiet = subprocess.DEVNULL

@@ -5,31 +5,25 @@ How a gain is chosen, and what the proof says, is in docs/proofs.md.
 """
 
 from outrider.design._solve import Design, Problem, Solved
-from outrider.design.bounds import bound, exact, smallest
-from outrider.design.observers import (
-    certify_speed,
-    certify_table,
-    constant_velocity,
-    high_gain,
-    multi_stage,
-    position,
-    speed,
-    table,
-)
+from outrider.design.bounds import bound, smallest
+from outrider.design.observers import certify, constant_velocity, high_gain, multi_stage
 from outrider.design.prove import prove
-from outrider.design.synthesis import Entry, synthesise
+from outrider.design.stages import certify_schedule, certify_speed, line, position, speed, table
+from outrider.design.synthesis import Entry, Weights, synthesise
 
 __all__ = [
     "Design",
     "Entry",
     "Problem",
     "Solved",
+    "Weights",
     "bound",
+    "certify",
+    "certify_schedule",
     "certify_speed",
-    "certify_table",
     "constant_velocity",
-    "exact",
     "high_gain",
+    "line",
     "multi_stage",
     "position",
     "prove",

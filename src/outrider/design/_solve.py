@@ -16,7 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from outrider.certificate import Certificate
+from outrider.claim import Blocks
 from outrider.errors import InputError, NotCertified
+from outrider.proof_file import ProofFile
 
 Array = npt.NDArray[np.float64]
 SOLVER = "Clarabel"
@@ -43,6 +45,7 @@ class Design:
     certificate: Certificate
     solved: Solved
     noise: float = float("nan")  # proven L2 gain from the measurement's error to what was weighed
+    file: ProofFile | None = None  # of an observer as a whole: what is to be kept
 
     def __str__(self) -> str:
         """The gain, the solver's word and the certificate's report."""
@@ -73,16 +76,21 @@ class Problem:
         self._rows: list[tuple[Array, Array, Array]] = []  # columns (k,), their entries (m, k), constant (m,)
         self._cones: list[int] = []
 
-    def symmetric(self, n: int) -> Unknown:
-        """Unknown symmetric matrix (n, n)."""
-        i, j = np.triu_indices(n)
-        basis = np.zeros((len(i), n, n))
-        basis[np.arange(len(i)), i, j] = basis[np.arange(len(i)), j, i] = 1.0
-        return self._new(basis)
+    def symmetric(self, n: int, blocks: Blocks | None = None) -> Unknown:
+        """Unknown symmetric matrix (n, n), full or of `blocks`: lists of states, those of one group alike."""
+        basis = []
+        for group in blocks or [[range(n)]]:
+            for i, j in zip(*map(np.ndarray.tolist, np.triu_indices(len(group[0]))), strict=True):
+                unit = np.zeros((n, n))
+                for states in group:
+                    unit[states[i], states[j]] = unit[states[j], states[i]] = 1.0
+                basis.append(unit)
+        return self._new(np.array(basis, float))
 
-    def matrix(self, rows: int, columns: int) -> Unknown:
-        """Unknown matrix (rows, columns)."""
-        return self._new(np.eye(rows * columns).reshape(rows * columns, rows, columns))
+    def matrix(self, rows: int, columns: int, axes: int = 1) -> Unknown:
+        """Unknown matrix (rows, columns); with axes, the same block on each of them."""
+        r, c = rows // axes, columns // axes
+        return self._new(np.asarray(np.kron(np.eye(axes), np.eye(r * c).reshape(r * c, r, c)), float))
 
     def number(self) -> Unknown:
         """Unknown number."""

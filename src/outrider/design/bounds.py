@@ -3,54 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from outrider import certificate, inequalities
-from outrider.certificate import Bound
-from outrider.design._solve import Problem
+from outrider import inequalities
+from outrider.certificate import EPS
+from outrider.claim import Proof, Sought
+from outrider.design._solve import Problem, Unknown
 from outrider.errors import NotCertified
 from outrider.inequalities import Form
 
 Array = npt.NDArray[np.float64]
-ROOM = 1.01  # a bound is stated this much above the smallest found, so that its proof has a margin [-]
+LOOKS = 7  # values of the multiplier tried before the best is refined
+ROOM = 1.01, 1.05, 1.25  # a bound is stated so much above the least found: its proof needs a margin [-]
 
 
-def exact(of: str, by: str, A: Array, B: Array, C: Array, form: Form = "continuous") -> Bound:
-    """Peak-to-peak gain of one linear error dynamics, by the impulse response; B (n, 1), C (1, n)."""
-    gain = certificate.peak(A, B, C, form)
-    if not np.isfinite(gain):
-        raise NotCertified(f"bound on {of}: the error dynamics is not stable; no bound exists")
-    return Bound(of, by, gain, True, "peak", A[None], B[None], C)
+def bound(sought: Sought, form: Form = "continuous") -> Proof:
+    """Smallest provable gain, a little widened, over a family; checked without the solver.
 
-
-def bound(
-    of: str,
-    by: str,
-    A: Array,
-    B: Array,
-    C: Array,
-    *,
-    kind: Literal["peak", "energy"] = "peak",
-    form: Form = "continuous",
-) -> Bound:
-    """Smallest provable gain, a little widened, over a family A (m, n, n) with inputs B (m, n, k), outputs C.
-
-    energy: bounded-real lemma. peak: invariant ellipsoid, line search over its multiplier.
-    NotCertified where none is found.
+    energy: bounded-real lemma. peak: invariant ellipsoid, line search over its multiplier; where the impulse
+    response gives it exactly no proof is needed. NotCertified where none is found.
     """
-    A, B = np.atleast_3d(A), np.atleast_3d(B)
-    if kind == "energy":
-        g2 = _smallest_energy(A, B, C, form, of)
-        found = _widest(of, by, A, B, C, kind, form, np.sqrt(g2) * ROOM, 0.0)
-    else:
-        gain, a = _best_multiplier(A, B, C, form, of)
-        found = _widest(of, by, A, B, C, kind, form, gain * ROOM, a)
-    if not found.margin(form) > 100.0 * A.shape[-1] * certificate.EPS:
-        raise NotCertified(f"bound on {of}: checked margin {found.margin(form):.1e}; scale the states alike")
-    return found
+    search = _Search(sought, form)
+    gain, a = (search.energy(), 0.0) if sought.kind == "energy" else search.peak()
+    for room in ROOM:
+        found = Proof(sought.of, sought.by, sought.kind, room * gain, search.widest(room * gain, a), a)
+        margin = sought.bound(found.gain, found.P, a).margin(form)
+        if margin > 100.0 * sought.A.shape[-1] * EPS:
+            return found
+    raise NotCertified(f"bound on {sought.of}: checked margin {margin:.1e}; scale the states alike")
 
 
 def smallest(condition: Callable[..., Any], n: int, multipliers: int = 0) -> float:
@@ -81,82 +64,86 @@ def _listed(matrices: Any) -> list[Any]:
     return list(matrices) if isinstance(matrices, list | tuple) else [matrices]
 
 
-def _smallest_energy(A: Array, B: Array, C: Array, form: Form, of: str) -> float:
-    """Smallest squared L2 gain that one P proves for the whole family."""
-    problem = Problem()
-    P, g2 = problem.symmetric(A.shape[-1]), problem.number()
-    problem.below(lambda P: -P, P)
-    for a, b in zip(A, B, strict=True):
-        problem.below(lambda P, g2, A, B: inequalities.energy(A, B, C, P, g2, form), P, g2, A=a, B=b)
-    solved = problem.minimise(g2)
-    if not solved.optimal:
-        raise NotCertified(f"bound on {of}: the solver said {solved.status!r}; no common proof was found")
-    return float(problem.found(g2, solved, "narrow the region"))
+class _Search:
+    """The searches for one bound."""
 
+    def __init__(self, sought: Sought, form: Form) -> None:
+        self.sought, self.form = sought, form
+        self.pairs = list(zip(sought.A, sought.B, strict=True))
 
-def _smallest_peak(A: Array, B: Array, C: Array, form: Form, a: float) -> float:
-    """Smallest peak gain by an ellipsoid with the multiplier a; inf where there is none."""
-    problem = Problem()
-    P, g2 = problem.symmetric(A.shape[-1]), problem.number()
-    for p, b in zip(A, B, strict=True):
-        problem.below(lambda P, A, B: inequalities.ellipsoid(A, B, P, a, form), P, A=p, B=b)
-    problem.below(lambda P, g2: inequalities.inside(C, P, g2), P, g2)
-    solved = problem.minimise(g2)
-    found = problem.found(g2, solved, "") if solved.optimal else -1.0
-    return float(np.sqrt(found)) if found > 0.0 else np.inf
+    def _problem(self) -> tuple[Problem, Unknown]:
+        problem = Problem()
+        return problem, problem.symmetric(self.sought.A.shape[-1], self.sought.blocks)
 
+    def energy(self) -> float:
+        """Smallest L2 gain that one P proves for the whole family."""
+        problem, P = self._problem()
+        g2, C = problem.number(), self.sought.C
+        problem.below(lambda P: -P, P)
+        for A, B in self.pairs:
+            problem.below(lambda P, g2, A, B: inequalities.energy(A, B, C, P, g2, self.form), P, g2, A=A, B=B)
+        solved = problem.minimise(g2)
+        if not solved.optimal:
+            raise NotCertified(
+                f"bound on {self.sought.of}: the solver said {solved.status!r}; no common proof was found"
+            )
+        return float(np.sqrt(problem.found(g2, solved, "narrow the region")))
 
-def _best_multiplier(A: Array, B: Array, C: Array, form: Form, of: str) -> tuple[float, float]:
-    """Smallest peak gain and its multiplier: golden section, after a coarse look."""
-    poles = np.linalg.eigvals(A)
-    if form == "continuous":
-        limit = -2.0 * float(poles.real.max())
-    else:
-        limit = 1.0 - float(np.abs(poles).max()) ** 2
-    if not limit > 0.0:
-        raise NotCertified(f"bound on {of}: the error dynamics is not stable; no bound exists")
+    def _ellipsoid(self, a: float) -> float:
+        """Smallest peak gain by an ellipsoid with the multiplier a; inf where there is none."""
+        problem, P = self._problem()
+        g2, C = problem.number(), self.sought.C
+        for A, B in self.pairs:
+            problem.below(lambda P, A, B: inequalities.ellipsoid(A, B, P, a, self.form), P, A=A, B=B)
+        problem.below(lambda P, g2: inequalities.inside(C, P, g2), P, g2)
+        solved = problem.minimise(g2)
+        found = problem.found(g2, solved, "") if solved.optimal else -1.0
+        return float(np.sqrt(found)) if found > 0.0 else np.inf
 
-    def gain(share: float) -> float:
-        return _smallest_peak(A, B, C, form, share * limit)
+    def peak(self) -> tuple[float, float]:
+        """Smallest peak gain and its multiplier, searched on a line after a coarse look."""
+        from scipy.optimize import minimize_scalar
 
-    shares = np.linspace(0.05, 0.95, 10)
-    values = [gain(float(s)) for s in shares]
-    i = int(np.argmin(values))
-    if not np.isfinite(values[i]):
-        raise NotCertified(f"bound on {of}: no invariant ellipsoid was found; narrow the region")
-    low, high = float(shares[max(i - 1, 0)]), float(shares[min(i + 1, 9)])
-    golden = (np.sqrt(5.0) - 1.0) / 2.0
-    best, at = values[i], float(shares[i])
-    for _ in range(8):
-        left, right = high - golden * (high - low), low + golden * (high - low)
-        l, r = gain(left), gain(right)
-        best, at = min((best, at), (l, left), (r, right))
-        low, high = (low, right) if l < r else (left, high)
-    return best, at * limit
-
-
-def _widest(
-    of: str, by: str, A: Array, B: Array, C: Array, kind: Any, form: Form, gain: float, a: float
-) -> Bound:
-    """The bound with the P of the largest margin."""
-    n, g2, problem = A.shape[-1], float(gain) ** 2, Problem()
-    P, margin = problem.symmetric(n), problem.number()
-    problem.below(lambda P, margin: margin * np.eye(n) - P, P, margin)
-
-    def grown(P: Array, margin: float, A: Array, B: Array) -> Array:
-        if kind == "peak":
-            M = inequalities.ellipsoid(A, B, P, a, form)
+        of, poles = self.sought.of, np.linalg.eigvals(self.sought.A)
+        if self.form == "continuous":
+            limit = -2.0 * float(poles.real.max())
         else:
-            M = inequalities.energy(A, B, C, P, g2, form)
-        return np.asarray(M + margin * np.eye(len(M)))
+            limit = 1.0 - float(np.abs(poles).max()) ** 2
+        if not limit > 0.0:
+            raise NotCertified(f"bound on {of}: the error dynamics is not stable; no bound exists")
+        shares = np.linspace(0.05, 0.95, LOOKS)
+        values = [self._ellipsoid(float(share) * limit) for share in shares]
+        i = int(np.argmin(values))
+        if not np.isfinite(values[i]):
+            raise NotCertified(f"bound on {of}: no invariant ellipsoid was found; narrow the region")
+        between = float(shares[max(i - 1, 0)]), float(shares[min(i + 1, LOOKS - 1)])
+        least = minimize_scalar(
+            lambda share: min(self._ellipsoid(share * limit), 1e9), bounds=between, method="bounded",
+            options={"xatol": 0.01},
+        )  # fmt: skip
+        gain, share = min((values[i], float(shares[i])), (float(least.fun), float(least.x)))
+        return gain, share * limit
 
-    def reached(P: Array, margin: float) -> Array:
-        M = inequalities.inside(C, P, g2)
-        return np.asarray(M + min(1.0, g2) * margin * np.eye(len(M)))
+    def widest(self, gain: float, a: float) -> Array:
+        """P (n, n) of the largest margin for a given gain."""
+        problem, P = self._problem()
+        margin, C, g2, form = problem.number(), self.sought.C, gain**2, self.form
 
-    if kind == "peak":
-        problem.below(reached, P, margin)
-    for p, b in zip(A, B, strict=True):
-        problem.below(grown, P, margin, A=p, B=b)
-    solved = problem.minimise(margin, sign=-1.0)
-    return Bound(of, by, gain, False, kind, A, B, C, problem.found(P, solved, "scale the states alike"), a)
+        def grown(P: Array, margin: float, A: Array, B: Array) -> Array:
+            if self.sought.kind == "peak":
+                M = inequalities.ellipsoid(A, B, P, a, form)
+            else:
+                M = inequalities.energy(A, B, C, P, g2, form)
+            return np.asarray(M + margin * np.eye(len(M)))
+
+        def reached(P: Array, margin: float) -> Array:
+            M = inequalities.inside(C / gain, P, 1.0)
+            return np.asarray(M + margin * np.eye(len(M)))
+
+        problem.below(lambda P, margin: margin * np.eye(len(P)) - P, P, margin)
+        if self.sought.kind == "peak":
+            problem.below(reached, P, margin)
+        for A, B in self.pairs:
+            problem.below(grown, P, margin, A=A, B=B)
+        solved = problem.minimise(margin, sign=-1.0)
+        return np.asarray(problem.found(P, solved, "scale the states alike"))

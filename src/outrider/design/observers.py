@@ -1,139 +1,94 @@
-"""Gains for each observer of the package: its model and region go to `synthesise`, its proof to `prove`."""
+"""Gains for each observer of the package, or a proof for given ones: what goes into a file of gains."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from importlib.metadata import version
 from math import pi
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from outrider import family
-from outrider.certificate import Certificate
+from outrider import family, observers
+from outrider.design import stages
 from outrider.design._solve import Design, Solved
-from outrider.design.bounds import bound, exact
 from outrider.design.prove import prove, refuse_unstable
-from outrider.design.synthesis import Entry, rounded, synthesise
-from outrider.family import Family, Table
-from outrider.inequalities import alike
-from outrider.observers import _cascade
+from outrider.design.stages import Pair
+from outrider.design.synthesis import Entry, Weights, rounded, synthesise
+from outrider.errors import InputError
+from outrider.inequalities import SLIP, alike
+from outrider.proof_file import ProofFile
 
 Array = npt.NDArray[np.float64]
 
-NO_JERK = "The jerk is constant; what it changes acts like a disturbance."
-NO_SLIP = "The slip is constant and within 20 degrees; what it changes acts like a disturbance."
-ON_THE_LINE = "Every state on the line between estimate and truth is within the region."
-WITHOUT_HOLD = "Every sample is used: nothing is missing, held or limited."
-CONTINUOUS = "The observer runs in continuous time; between two samples the measurement is on their line."
 
-
-def speed(rate: float = 0.4, fastest: float = 5.0) -> Design:
-    """Gain (4,) of the speed chain [1/s to 1/s4]: least energy of speed and acceleration errors, [MS 36].
-
-    rate: decay [1/s]; fastest: no pole further from 0 [1/s]. Bounds on speed and acceleration by the path's
-    error, exact, and the energy bound with its P. NotCertified where there is none.
-    """
-    F, H, C, T = family.speed_chain()[0], np.eye(1, 4), np.eye(4)[1:3], _powers(np.sqrt(rate * fastest), 4)
-    gains, _, _, solved = synthesise([Entry(F[None], rate, fastest)], H, C, scale=T)
-    L = rounded(gains[0])
-    return certify_speed(L[:, 0], rate, solved)
-
-
-def certify_speed(gain: Sequence[float] | Array, rate: float, said: Solved | None = None) -> Design:
-    """Proof of a given gain (4,) of the speed chain at a decay rate [1/s], with its bounds."""
-    L = np.asarray(gain, float).reshape(4, 1)
-    T = _powers(float(np.abs(L[3, 0])) ** 0.25, 4)
-    A = (family.speed_chain()[0] - L @ np.eye(1, 4)) / T[:, None] * T
-    B, C = -L / T[:, None], np.diag(T)
-    energy = bound("(speed, acceleration)", "path", A[None], B[None], C[1:3], kind="energy")
-    bounds = (exact("speed", "path", A, B, C[1:2]), exact("acceleration", "path", A, B, C[2:3]), energy)
-    certificate, solved = prove(
-        "multi_stage: speed",
-        Family(A[None], ("the one matrix there is",)),
-        rate,
-        region={},
-        assumptions=(NO_JERK, CONTINUOUS),
-        bounds=bounds,
-    )
-    return Design(L[:, 0], certificate, said or solved, energy.gain)
-
-
-def table(
-    speeds: Sequence[float],
-    rate: tuple[float, float] = (0.1, 0.03),
-    fastest: tuple[float, float] = (1.5, 0.5),
-    mismatch: float = 0.1,
-    l_r: float = 2.0,
+def certify(
+    name: str, gains: Any, form: str, rate: float, asked: Mapping[str, Any], said: Solved | None = None
 ) -> Design:
-    """Orientation gains (k, 2) [1/s] for nominal speeds (k,) [m/s], [MS 58] with the tight sector condition.
+    """Proof of an observer's claim for given gains, over the region `asked`, at a rate; with all its bounds.
 
-    Decay rate and limit of the poles are a + b V at the nominal speed V: pairs ([1/s], [1/m]). All entries
-    share one P, so the table may be switched at will (E11) while the true speed is within `mismatch` of the
-    entry's span. Weighed are the errors of yaw and slip against the course's error and the speed's, as in the
-    paper. NotCertified where there is no proof.
+    form: continuous, rate in 1/s; or sampled, rate the factor of a step. InputError for a region, form or
+    observer that makes no claim, NotCertified where there is no proof.
     """
-    entries = [
-        Entry(family.orientation(*span, l_r), rate[0] + rate[1] * v, fastest[0] + fastest[1] * v)
-        for v, span in zip(speeds, family.spans(speeds, mismatch), strict=True)
-    ]
-    H, G = np.ones((1, 2)), np.eye(2, 1)
-    gains, _, noise, solved = synthesise(entries, H, np.eye(2), G=G, weight=36.0)
-    L = np.array([rounded(g)[:, 0] for g in gains])
-    made = Table(list(speeds), list(L[:, 0]), list(L[:, 1]))
-    certificate = certify_table(made, min(e.rate for e in entries), mismatch, l_r)
-    return Design(L, certificate, solved, max(noise))
+    observer: Any = observers.get(name)
+    if not hasattr(observer, "claim"):
+        able = [n for n in observers.names() if hasattr(observers.get(n), "claim")]
+        raise InputError(f"observer {name} has no constant gain to prove; want one of {', '.join(able)}")
+    claim = observer.claim(gains, form, **asked)
+    if name == "high_gain" and form == "continuous":
+        frozen = family.frozen_high_gain(gains[:3], **claim.asked)
+        refuse_unstable(replace(claim, family=frozen), rate, "no proof can exist")
+    certificate, proofs, solved = prove(claim, rate)
+    said = said or solved
+    made = {
+        "outrider": version("outrider"),
+        "solver": said.solver,
+        "status": said.status,
+        "seconds": round(said.seconds, 3),
+        "margin": float(f"{certificate.margin():.3g}"),
+    }
+    file = ProofFile(name, form, gains._asdict(), claim.asked, rate, certificate.P, proofs, made)
+    return Design(np.array(gains), certificate, said, file=file)
 
 
-def certify_table(table: Table, rate: float, mismatch: float = 0.1, l_r: float = 2.0) -> Certificate:
-    """Proof, by one P, that a table of orientation gains may be switched at will at a decay rate [1/s]."""
-    matrices, corners = [], []
-    spans = family.spans(table.speed, mismatch)
-    for v, psi, beta, span in zip(*table, spans, strict=True):
-        for F in family.orientation(*span, l_r):
-            matrices.append(F - np.array([[psi], [beta]]) @ np.ones((1, 2)))
-            corners.append(f"entry {v:g} m/s, slope times speed {F[0, 1] * l_r:.3g} m/s")
-    certificate, _ = prove(
-        "multi_stage: orientation",
-        Family(np.array(matrices), tuple(corners)),
-        rate,
-        region={"speed [m/s]": (min(table.speed), max(table.speed))},
-        assumptions=(_mismatch(mismatch), NO_SLIP, CONTINUOUS, WITHOUT_HOLD),
-    )
-    return certificate
+def multi_stage(
+    speed: Pair = (1.0, 20.0),
+    *,
+    rear_axle: float = 2.0,
+    slip: float = SLIP,
+    mismatch: float = 0.1,
+    rate: float = 1.0,
+    fastest: float = 8.0,
+    turn_rate: Pair = (0.05, 0.03),
+    turn_fastest: Pair = (1.0, 0.25),
+    position_rate: float = 10.0,
+    position_fastest: float = 20.0,
+    gain_bound: float | None = None,
+    whole: float = 0.05,
+) -> Design:
+    """Gains of all three stages over true speeds [m/s], and one proof of all at the rate `whole` [1/s].
 
-
-def position(rate: float = 10.0, fastest: float = 20.0) -> Design:
-    """Gain (2, 2) of the position observer [1/s], [MS 70]: least energy of errors of velocity and sensor."""
-    one = np.eye(2)
-    entry = Entry(np.zeros((1, 2, 2)), rate, fastest)
-    gains, _, noise, solved = synthesise([entry], one, one, G=one, axes=2)
-    L = rounded(gains[0])
-    A, B = -L[None], np.hstack([one, -L])[None]
-    energy = bound("position", "(velocity, position)", A, B, one, kind="energy")
-    certificate, _ = prove(
-        "multi_stage: position", Family(A, ("the one matrix there is",)), rate, region={},
-        assumptions=(CONTINUOUS,), bounds=(energy,),
-    )  # fmt: skip
-    return Design(L, certificate, solved, noise[0])
-
-
-def multi_stage(gains: Any, rate: float = _cascade.RATE) -> Certificate:
-    """One proof for the whole cascade with given `multi_stage.Gains`, table switched at will, rate [1/s].
-
-    The heading of the rectangle may correct with any gain from 0 to `gains.heading`.
+    rate, fastest: of the speed stage [1/s]; turn_*: of the orientation, a + b V ([1/s], [1/m]); position_*:
+    of the position [1/s]; gain_bound: norm of each stage's gain; rear_axle: l_r [m]; slip [rad].
+    InputError for a region that crosses standstill, NotCertified where a stage or the whole has no proof.
     """
-    claim = _cascade.claim(gains, np.eye(8), rate)
-    certificate, _ = prove(
-        "multi_stage",
-        _cascade.errors(gains),
-        rate,
-        blocks=_cascade.BLOCKS,
-        region=claim.region,
-        assumptions=claim.assumptions,
-        bounds=claim.bounds,
+    if not 0.0 < speed[0] < speed[1] < np.inf:
+        raise InputError(f"speeds {speed[0]:g} to {speed[1]:g} m/s; want 0 < low < high: no proof crosses 0")
+    if not 0.0 < rear_axle < np.inf:
+        raise InputError(f"rear axle {rear_axle:g} m behind the centre; want a positive distance")
+    chain = stages.speed(rate, fastest, gain_bound)
+    turn = stages.line(*speed, turn_rate, turn_fastest, mismatch, rear_axle, slip, gain_bound)
+    place = stages.position(position_rate, position_fastest, gain_bound)
+    Gains = observers.get("multi_stage").Gains
+    gains = Gains(*chain.gain, L_w=place.gain[0, 0], l_r=rear_axle)._replace(
+        **dict(zip(("psi_0", "psi_V", "beta_0", "beta_V"), turn.gain.ravel().tolist(), strict=True))
     )
-    return certificate
+    seconds = sum(d.solved.seconds for d in (chain, turn, place))
+    said = chain.solved._replace(seconds=seconds)
+    asked = {"speed": speed, "slip": slip, "mismatch": mismatch}
+    return certify("multi_stage", Gains(*map(float, gains)), "continuous", whole, asked, said)
 
 
 def high_gain(
@@ -143,6 +98,7 @@ def high_gain(
     *,
     rate: float = 1.0,
     fastest: float = 15.0,
+    gain_bound: float | None = None,
     gain: Sequence[float] | None = None,
 ) -> Design:
     """Gain (3,) per axis of the high-gain observer [1/s, 1/s2, 1/s3], or the proof of a given one.
@@ -154,71 +110,50 @@ def high_gain(
     F, _ = family.companion(speed, acceleration, yaw_rate)
     said = None
     if gain is None:
-        C, H = alike(np.eye(3)[1:2]), alike(np.eye(1, 3))
-        T = np.tile(_powers(fastest / 3.0, 3), 2)
-        gains, _, _, said = synthesise([Entry(F, rate, fastest)], H, C, axes=2, scale=T)
+        weights = Weights(alike(np.eye(1, 3)), alike(np.eye(3)[1:2]), np.zeros((6, 0)))
+        T = np.tile((fastest / 3.0) ** np.arange(3.0), 2)
+        entry = Entry(F, rate, fastest)
+        gains, _, _, said = synthesise([entry], weights, axes=2, scale=T, gain_bound=gain_bound)
         gain = rounded(gains[0][:3, 0]).tolist()
-    frozen = family.frozen_high_gain(gain, speed, acceleration, yaw_rate)
-    refuse_unstable("high_gain", frozen, rate, "continuous", "no proof can exist")
-    certificate, solved = prove(
-        "high_gain",
-        family.high_gain(gain, speed, acceleration, yaw_rate),
-        rate,
-        blocks=[[range(3), range(3, 6)]],
-        region={
-            "speed [m/s]": (speed, 70.0),
-            "acceleration [m/s2]": (-acceleration, acceleration),
-            "yaw rate [rad/s]": (-yaw_rate, yaw_rate),
-        },
-        assumptions=(ON_THE_LINE, CONTINUOUS, WITHOUT_HOLD),
-    )
-    return Design(np.asarray(gain, float), certificate, said or solved)
+    Gains = observers.get("high_gain").Gains
+    L = [float(g) for g in gain]
+    asked = {"speed": speed, "acceleration": acceleration, "yaw_rate": yaw_rate}
+    family.high_gain(L, **asked)  # its message for a gain that is none
+    made = Gains(*L, c_max=max(yaw_rate, 0.01), floor=speed)
+    return certify("high_gain", made, "continuous", rate, asked, said)
 
 
 def constant_velocity(
-    speeds: Iterable[float],
+    speeds: Pair | Sequence[float],
     window: float = 75.0 * pi / 180.0,
     yaw_rate: float = 0.5,
     *,
     rate: float = 0.5,
     fastest: float = 20.0,
-    l_r: float = 2.0,
-    gain: Array | None = None,
+    rear_axle: float = 2.0,
+    slip: float = SLIP,
+    gain_bound: float | None = None,
+    gain: Sequence[float] | None = None,
 ) -> Design:
-    """Gain (4, 2) [1/s, rad/(m s)] in a frame that turns with the estimate, or the proof of a given one.
+    """Gain L_x, L_y, L_psi, L_beta in a frame that turns with the estimate, or the proof of a given one.
 
-    For given speeds [m/s], a true course within `window` [rad] of the frame (the estimated yaw or course),
-    and a frame that turns at up to `yaw_rate` [rad/s]. Mirroring left and right changes nothing, so the gains
-    from x to the rest and from y to x are 0. Weighed are the errors of yaw and slip against the position's.
-    NotCertified where there is no proof.
+    For speeds between the least and largest given [m/s], a true course within `window` [rad] of the frame
+    (the estimated yaw or course), and a frame that turns at up to `yaw_rate` [rad/s]. Mirroring left and
+    right changes nothing, so the gains from x to the rest and from y to x are 0. Weighed are the errors of
+    yaw and slip against the position's. NotCertified where there is no proof.
     """
-    speeds = list(speeds)
-    F, corners = family.constant_velocity(speeds, window, yaw_rate, l_r)
-    T, H, C = np.array([1.0, 1.0, 0.2, 0.1]), np.eye(2, 4), np.eye(4)[2:]
+    span = (float(min(speeds)), float(max(speeds)))
+    asked = {"speed": span, "window": window, "yaw_rate": yaw_rate, "slip": slip}
+    observer: Any = observers.get("constant_velocity")
+    start = observer.Gains(speed=sum(span) / 2.0, speed_chain=0.0, l_r=rear_axle)
+    observer.claim(start, "continuous", **asked)  # its message for a region that is none
     said = None
     if gain is None:
-        gains, _, _, said = synthesise([Entry(F, rate, fastest)], H, C, scale=T)
-        free = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0], [0.0, 1.0]])
-        gain = rounded(gains[0] * free) + 0.0  # no minus zeros
-    L = np.asarray(gain, float)
-    certificate, solved = prove(
-        "constant_velocity",
-        Family((F - L @ H) / T[:, None] * T, corners),
-        rate,
-        region={
-            "speed [m/s]": (min(speeds), max(speeds)),
-            "course minus that of the frame [rad]": (-window, window),
-            "yaw rate [rad/s]": (-yaw_rate, yaw_rate),
-        },
-        assumptions=("The speed is given exactly.", NO_SLIP, ON_THE_LINE, CONTINUOUS, WITHOUT_HOLD),
-    )
-    return Design(L, certificate, said or solved)
-
-
-def _powers(pace: float, n: int) -> Array:
-    """Sizes (n,) of position, speed, ... that change at a pace [1/s]."""
-    return np.asarray(pace, float) ** np.arange(n)
-
-
-def _mismatch(mismatch: float) -> str:
-    return f"The true speed is within {100.0 * mismatch:g} % of the span of the table's entry in use."
+        F, _ = family.constant_velocity(sorted(set(span)), window, yaw_rate, rear_axle, slip)
+        weights = Weights(np.eye(2, 4), np.eye(4)[2:], np.zeros((4, 0)))
+        T = np.array([1.0, 1.0, 0.2, 0.1])
+        gains, _, _, said = synthesise([Entry(F, rate, fastest)], weights, scale=T, gain_bound=gain_bound)
+        gain = rounded(gains[0][[0, 1, 2, 3], [0, 1, 1, 1]]).tolist()
+    names = ("L_x", "L_y", "L_psi", "L_beta")
+    made = start._replace(**{n: float(g) for n, g in zip(names, gain, strict=True)})
+    return certify("constant_velocity", made, "continuous", rate, asked, said)

@@ -2,74 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 import numpy.typing as npt
 
 from outrider import inequalities
-from outrider.certificate import Bound, Certificate
+from outrider.certificate import Certificate, unstable
+from outrider.claim import Claim, Proof
 from outrider.design._solve import Problem, Solved
+from outrider.design.bounds import bound
 from outrider.errors import NotCertified
-from outrider.family import Family, axes_of
-from outrider.inequalities import Form
 
 Array = npt.NDArray[np.float64]
-Blocks = Sequence[Sequence[Sequence[int]]]
 
 
-def prove(
-    observer: str,
-    family: Family,
-    rate: float,
-    *,
-    form: Form = "continuous",
-    blocks: Blocks | None = None,
-    region: Mapping[str, tuple[float, float]],
-    assumptions: Sequence[str] = (),
-    bounds: Sequence[Bound] = (),
-) -> tuple[Certificate, Solved]:
-    """Certificate that every matrix of a family decays at `rate`, re-checked without the solver.
+def prove(claim: Claim, rate: float, *, bounds: bool = True) -> tuple[Certificate, tuple[Proof, ...], Solved]:
+    """Certificate that a claim's errors decay at `rate`, re-checked with NumPy, and proofs of its bounds.
 
-    blocks: the shape of P; lists of states that form a block, blocks of one group being equal; None: full.
+    rate: [1/s] in continuous form, else the factor of a step. bounds: also search what the claim seeks.
     NotCertified where a matrix alone is unstable at that rate (which one and its eigenvalue are named), where
     no common P exists, or where its margin does not stand up to rounding.
     """
-    refuse_unstable(observer, family, rate, form, "no proof over these corners can exist")
-    n = family.matrices.shape[1]
-    picks = axes_of(n, blocks or [[range(n)]])
-    problem, one = Problem(), np.eye(n)
-    unknowns, margin = [problem.symmetric(len(group[0])) for group in picks], problem.number()
+    refuse_unstable(claim, rate)
+    matrices, form = claim.family.matrices, claim.form
+    problem, one = Problem(), np.eye(matrices.shape[1])
+    P, margin = problem.symmetric(len(one), claim.blocks), problem.number()
 
-    def whole(*blocks: Array) -> Array:
-        out: Array = sum(E.T @ M @ E for M, g in zip(blocks, picks, strict=True) for E in g) + np.zeros(
-            (n, n)
-        )
-        return out
-
-    def shrinks(margin: float, *blocks: Array, A: Array) -> Array:
+    def shrinks(P: Array, margin: float, A: Array) -> Array:
         size = max(float(np.linalg.norm(A, 2)) ** (1 if form == "continuous" else 2), rate)
-        M: Array = inequalities.decay(A, whole(*blocks), rate, form) / size + margin * one
+        M: Array = inequalities.decay(A, P, rate, form) / size + margin * one
         return M
 
-    problem.below(lambda *M: whole(*M) - one, *unknowns)
-    problem.below(lambda margin, *M: margin * one - whole(*M), margin, *unknowns)
-    for A in np.unique(family.matrices, axis=0):
-        problem.below(shrinks, margin, *unknowns, A=A)
+    problem.below(lambda P: P - one, P)
+    problem.below(lambda P, margin: margin * one - P, P, margin)
+    for A in np.unique(matrices, axis=0):
+        problem.below(shrinks, P, margin, A=A)
     solved = problem.minimise(margin, sign=-1.0)
-    advice = "lower the rate or narrow the region"
-    P = whole(*(problem.found(M, solved, advice) for M in unknowns))
-    certificate = Certificate(
-        observer,
-        form,
-        family.matrices,
-        P,
-        rate,
-        dict(region),
-        tuple(assumptions),
-        tuple(bounds),
-    )
-    return accept(certificate, solved), solved
+    found = problem.found(P, solved, "lower the rate or narrow the region")
+    accept(claim.certificate(found, rate), solved)
+    wanted = [s for s in claim.sought if bounds and not s.exact]
+    proofs = tuple(bound(s, claim.form) for s in wanted)
+    return accept(claim.certificate(found, rate, proofs), solved), proofs, solved
 
 
 def accept(certificate: Certificate, solved: Solved) -> Certificate:
@@ -84,17 +56,11 @@ def accept(certificate: Certificate, solved: Solved) -> Certificate:
     return certificate
 
 
-def refuse_unstable(observer: str, family: Family, rate: float, form: Form, verdict: str) -> None:
+def refuse_unstable(
+    claim: Claim, rate: float, verdict: str = "no proof over these corners can exist"
+) -> None:
     """NotCertified, with the corner and the eigenvalue, where one matrix alone does not decay at `rate`."""
-    poles = np.linalg.eigvals(family.matrices)
-    pace = poles.real if form == "continuous" else np.abs(poles)
-    i, j = np.unravel_index(int(np.argmax(pace)), pace.shape)
-    limit = 0.0 - rate if form == "continuous" else rate
-    if pace[i, j] >= limit:
-        pole = complex(poles[i, j])
+    if found := unstable(claim.family.matrices, claim.family.corners, rate, claim.form):
         raise NotCertified(
-            f"{observer}: {verdict}: at {family.corners[i]} the frozen error dynamics has the eigenvalue "
-            f"{pole.real:+.4g}{f'{pole.imag:+.4g}i' if pole.imag else ''}, want "
-            f"{'its real part' if form == 'continuous' else 'its magnitude'} below {limit:g}; narrow the "
-            "region, lower the rate or change the gain"
+            f"{claim.observer}: {verdict}: {found}; narrow the region, lower the rate or change the gain"
         )

@@ -205,11 +205,11 @@ def _nearest(name: str, known: list[str]) -> str:
 
 
 def stream(observer: Observer) -> Any:
-    """Compiled start_all, step_all, predict_all, motion_all over arrays of tracks (`kernel.Stream`)."""
-    from outrider import kernel
+    """Compiled start_all, step_all, predict_all, motion_all over arrays of tracks (`compiler.Stream`)."""
+    from outrider import compiler
 
     o = observer
-    return kernel.stream(o.start, o.step, o.predict, o.motion, o.State, Measurement)
+    return compiler.stream(o.start, o.step, o.predict, o.motion, o.State, Measurement)
 
 
 def batch(observer: Observer, measurements: Array, dt: Array, gains: Any) -> Array:
@@ -218,7 +218,7 @@ def batch(observer: Observer, measurements: Array, dt: Array, gains: Any) -> Arr
     Bit for bit what `stream` gives. NaN before a track's first two neighbouring finite samples.
     InputError where the shapes do not fit.
     """
-    from outrider import kernel
+    from outrider import compiler
 
     y, dt = np.ascontiguousarray(measurements, float), np.ascontiguousarray(dt, float)
     if y.ndim != 3 or y.shape[2] != len(Measurement._fields) or dt.shape != y.shape[:2]:
@@ -226,7 +226,7 @@ def batch(observer: Observer, measurements: Array, dt: Array, gains: Any) -> Arr
             f"measurements {y.shape} and dt {dt.shape}; want (N, T, {len(Measurement._fields)}) and (N, T)"
         )
     out = np.empty((*dt.shape, len(observer.State._fields)))
-    run = kernel.batch(observer.start, observer.step, observer.State, Measurement)
+    run = compiler.batch(observer.start, observer.step, observer.State, Measurement)
     run(y, dt, gains, out)
     return out
 
@@ -246,11 +246,11 @@ def lagged(observer: Any, states: Array, dt: Array, lag: int, gains: Any) -> Arr
     Fixed-lag smoothing: row k looks back from the filtered state of sample k + lag; the last `lag` rows are
     NaN. InputError for a negative lag, or an observer that cannot smooth.
     """
-    from outrider import kernel
+    from outrider import compiler
 
     check_lag(observer, lag)
     out = np.empty_like(states)
-    run = kernel.lagged(observer.smooth, observer.State)
+    run = compiler.lagged(observer.smooth, observer.State)
     run(np.ascontiguousarray(states), np.ascontiguousarray(dt, float), lag, gains, out)
     return out
 
@@ -268,10 +268,10 @@ def spreads(observer: Any, states: Array, gains: Any, rows: npt.NDArray[np.int64
 
     rows: only these; None: all.
     """
-    from outrider import kernel
+    from outrider import compiler
 
     out = np.full((len(states), len(Spread._fields)), np.nan)
     if hasattr(observer, "spread"):
         known = np.flatnonzero(np.isfinite(states).all(axis=1)) if rows is None else rows
-        kernel.each(observer.spread, observer.State)(np.ascontiguousarray(states), gains, known, out)
+        compiler.each(observer.spread, observer.State)(np.ascontiguousarray(states), gains, known, out)
     return out

@@ -1,94 +1,81 @@
-"""Proof of the multi-stage observer as a whole: speed, orientation and position in one Lyapunov function.
-
-The numbers were found by `outrider.design.multi_stage`; `certificate(gains).margin()` checks them anew.
-"""
+"""What is claimed of the multi-stage observer as a whole: speed, orientation and position in one family."""
 
 from __future__ import annotations
 
-from math import isfinite
+from math import cos
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from outrider import family
-from outrider.certificate import Bound, Certificate, peak
-from outrider.family import Family
-from outrider.inequalities import SLIP, chain
+from outrider.claim import Claim, Sought
+from outrider.errors import InputError
+from outrider.family import Line, Point, Table
+from outrider.inequalities import SLIP, Form, chain
 from outrider.observers import multi_stage
 
 Array = npt.NDArray[np.float64]
 
-RATE = 0.05  # decay of all errors [1/s]
-MISMATCH = 0.1  # how far the true speed may be outside the span of the entry in use [-]
-
-# Lower halves of the blocks of P, states scaled as in `family`: (S, V, A, J), (psi, beta), each coordinate.
-PUBLISHED = (
-    (0.6952, -0.2172, 0.2615, -0.2651, -0.007916, 0.2049, 0.02164, -0.1913, -0.03406, 0.8983),
-    (0.08012, -0.004654, 0.01624),
-    (2.508e-4,),
-)
-OURS = (
-    (
-        1.0,
-        -0.21637,
-        0.154678,
-        -0.157672,
-        -0.00225327,
-        0.0497734,
-        0.00550699,
-        -0.0467318,
-        -0.00419056,
-        0.0983357,
-    ),
-    (0.0879597, -0.00623151, 0.0146476),
-    (0.000347559,),
-)
-BLOCKS = ((range(4),), ((4, 5),), ((6,), (7,)))  # the states of each block
-ASSUMPTIONS = (
-    f"The true speed is within {100.0 * MISMATCH:g} % of the span of the table's entry in use.",
-    "The vehicle goes forward.",
-    "Jerk and slip are constant, the slip within 20 degrees; what they change acts like a disturbance.",
-    "The measurement runs along the line between two samples, and the equations are integrated exactly.",
-    "Every sample is used: none is missing, held or limited.",
-)
+BLOCKS = ((range(4),), ((4, 5),), ((6,), (7,)))  # states of each block of P: the position's frame may turn
+MISMATCH = 0.1  # how far the true speed may be from the estimated one [-]
 
 
-def certificate(gains: Any) -> Certificate:
-    """What is claimed for these gains; proven for the default ones and for DESIGNED, check it for others."""
-    halves, P = (OURS if gains.table > 0.5 else PUBLISHED), np.zeros((8, 8))
-    for group, half in zip(BLOCKS, halves, strict=True):
-        for states in group:
-            i, j = np.tril_indices(len(states))
-            first = states[0]
-            P[first + i, first + j] = P[first + j, first + i] = half
-    return claim(gains, P, RATE)
+def claim(
+    gains: Any,
+    form: Form = "continuous",
+    speed: tuple[float, float] = (1.0, 20.0),
+    slip: float = SLIP,
+    mismatch: float = MISMATCH,
+) -> Claim:
+    """Claim for `multi_stage.Gains` over true speeds [m/s] and slips up to `slip` [rad].
 
-
-def claim(gains: Any, P: Array, rate: float) -> Certificate:
-    """Certificate of the whole cascade with P (8, 8) and a rate [1/s]; not checked."""
-    return Certificate(
+    mismatch [-]: share by which the true speed may leave the span of the entry in use, or differ from the
+    estimated one. The rectangle's heading may correct with any gain from 0 to `gains.heading`.
+    InputError for a form it has not, or a region that is none.
+    """
+    if form != "continuous":
+        raise InputError(f"multi_stage has no proof in {form!r} form; want continuous")
+    if not 0.0 < speed[0] <= speed[1] < np.inf:
+        raise InputError(f"speeds {speed[0]:g} to {speed[1]:g} m/s; want 0 < low <= high: no proof crosses 0")
+    if not (0.0 < slip < 0.5 * np.pi and 0.0 <= mismatch < 1.0):
+        raise InputError(f"slip {slip:g} rad, mismatch {mismatch:g}; want 0 < slip < pi/2, 0 <= mismatch < 1")
+    L_s, scheduled = speed_gain(gains), points(gains, speed, mismatch)
+    return Claim(
         "multi_stage",
         "continuous",
-        errors(gains).matrices,
-        P,
-        rate,
+        family.multi_stage(L_s, scheduled, gains.L_w, gains.heading, gains.l_r, slip),
         {
-            "speed [m/s]": (multi_stage.NOMINAL[0], multi_stage.NOMINAL[-1]),
-            "slip [rad]": (-SLIP, SLIP),
+            "speed [m/s]": speed,
+            "slip [rad]": (-slip, slip),
             "gain on the heading [1/s]": (0.0, gains.heading),
         },
-        ASSUMPTIONS,
-        _bounds(speed_gain(gains)),
+        (
+            f"The true speed is within {100.0 * mismatch:g} % of what chooses the gain.",
+            "The vehicle goes forward.",
+            f"Jerk and slip are constant, the slip within {np.degrees(slip):g} degrees.",
+            "What jerk and slip change acts like a disturbance.",
+            "The measurement runs along the line between two samples; the equations are integrated exactly.",
+            "Every sample is used: none is missing, held or limited.",
+        ),
+        {"speed": speed, "slip": slip, "mismatch": mismatch},
+        BLOCKS,
+        _sought(L_s, scheduled, gains, slip),
     )
 
 
-def errors(gains: Any) -> Family:
-    """Error dynamics of the whole cascade with these gains."""
-    m, k = multi_stage, gains.orientation
-    psi, beta = (m.OUR_PSI, m.OUR_BETA) if gains.table > 0.5 else (m.L_PSI, m.L_BETA)
-    table = family.Table(m.NOMINAL, [k * g for g in psi], [k * g for g in beta])
-    return family.multi_stage(speed_gain(gains), table, gains.L_w, gains.heading, MISMATCH, gains.l_r)
+def points(gains: Any, speed: tuple[float, float], mismatch: float) -> list[Point]:
+    """Orientation gains that may be in use over true speeds [m/s]: of the line, or of Table I."""
+    k = gains.orientation
+    if gains.psi_V > 0.0:
+        line = Line(*speed, (k * gains.psi_0, k * gains.psi_V), (k * gains.beta_0, k * gains.beta_V))
+        return line.points(mismatch)
+    m = multi_stage
+    rows = [row for row in zip(m.NOMINAL, m.L_PSI, m.L_BETA, strict=True) if speed[0] <= row[0] <= speed[1]]
+    if not rows:
+        raise InputError(f"speeds {speed[0]:g} to {speed[1]:g} m/s hold no entry of Table I; widen them")
+    nominal, psi, beta = zip(*rows, strict=True)
+    return Table(nominal, [k * g for g in psi], [k * g for g in beta]).points(mismatch)
 
 
 def speed_gain(gains: Any) -> list[float]:
@@ -97,12 +84,20 @@ def speed_gain(gains: Any) -> list[float]:
     return [g * gains.speed**power for power, g in enumerate(chain_of, 1)]
 
 
-def _bounds(L_s: list[float]) -> tuple[Bound, ...]:
-    """Of speed and acceleration by the error of the measured path: exact, since this stage is linear."""
-    L, one, bounds = np.array(L_s)[:, None], np.eye(4), []
-    A = chain(4) - L @ one[:1]
-    for of, C in (("speed", one[1:2]), ("acceleration", one[2:3])):
-        gain = peak(A, -L, C, "continuous")
-        if isfinite(gain):
-            bounds.append(Bound(of, "path", gain, True, "peak", A[None], -L[None], C))
-    return tuple(bounds)
+def _sought(L_s: list[float], points: list[Point], gains: Any, slip: float) -> tuple[Sought, ...]:
+    """Of each stage by the error of what drives it; exactly where the stage is linear."""
+    L, one = np.array(L_s)[:, None], np.eye(4)
+    A = (chain(4) - L @ one[:1])[None]
+    orientation = family.orientation_errors(points, gains.l_r, slip).matrices
+    turned = np.array([[[-p.psi], [-p.beta]] for p in points for _ in (cos(slip), 1.0)])
+    w = np.full((1, 1, 1), gains.L_w)
+    fastest = np.full((1, 1, 1), max(p.speed for p in points))
+    one_one = np.ones((1, 1))
+    return (
+        Sought("speed", "path", A, -L[None], one[1:2]),
+        Sought("acceleration", "path", A, -L[None], one[2:3]),
+        Sought("course", "measured course", orientation, turned, np.ones((1, 2))),
+        Sought("position", "position", -w, -w, one_one),
+        Sought("position", "speed", -w, one_one[None], one_one),
+        Sought("position", "course", -w, fastest, one_one),
+    )

@@ -1,7 +1,7 @@
-"""Proof that the sampled constant-velocity observer forgets its errors, for every heading.
+"""What is claimed of the constant-velocity observer: continuous, over a window; sampled, for every heading.
 
-Errors are truth minus estimate: the position in the frame of the estimated course, course and slip. Over a
-step of dt, course errors within D, the exact error dynamics before the correction is
+Sampled: errors are truth minus estimate, the position in the frame of the estimated course, course and slip.
+Over a step of dt, course errors within D, the exact error dynamics before the correction is
 
     p -> R(-d) p + V dt (n e_chi + V dt / (2 l_r) k m e_beta),   e_chi -> e_chi + V dt / l_r k e_beta
 
@@ -12,41 +12,33 @@ the corners of their ranges span every case.
 
 from __future__ import annotations
 
-from functools import cache
 from itertools import product
 from math import cos, pi, sin
 from typing import Any
 
 import numpy as np
 
-from outrider.certificate import Array, Certificate
+from outrider import family as polytopes
+from outrider.certificate import Array
+from outrider.claim import Claim, Sought
+from outrider.errors import InputError
+from outrider.family import Family
+from outrider.inequalities import SLIP, Form
 
-DTS = (0.05, 0.1, 0.15, 0.2, 0.25)  # steps [s]
-WINDOW = pi / 3.0  # largest error of the course, D [rad]
-TURN = 1.0  # largest rate at which the estimated course turns, corrections included [rad/s]
-RATE = 0.96  # of decay by a step [-]
 PACE = 0.3  # [s]: errors are weighed as 1 m, 1 m / V / PACE and 1 m l_r / (V PACE)^2
-P = np.array(
-    [
-        [0.1566, 0.0, 0.0, 0.0],
-        [0.0, 0.5161, -0.1855, -0.0648],
-        [0.0, -0.1855, 0.2673, -0.3231],
-        [0.0, -0.0648, -0.3231, 0.8569],
-    ]
-)
 
 
-def family(gains: Any, dt: float) -> Array:
-    """Error matrices (128, 4, 4) over a step of dt [s], from correction to correction, in scaled errors."""
+def family(gains: Any, dt: float, window: float, turn: float) -> tuple[Array, Array]:
+    """Error matrices (128, 4, 4) over a step of dt [s], correction to correction, and gain (4, 2); scaled."""
     from outrider.observers.constant_velocity import SLIP_MAX, sampled
 
     V, l_r, k = gains.speed, gains.l_r, sampled(dt, gains)
     correct = np.eye(4)
     correct[:, 0] -= [k.x, 0.0, 0.0, 0.0]
     correct[:, 1] -= [0.0, k.y, k.chi / V, k.beta * l_r / V**2]
-    turn = TURN * dt
-    off = 0.5 * WINDOW + turn
-    least = sin(0.5 * WINDOW) / (0.5 * WINDOW)
+    turn = turn * dt
+    off = 0.5 * window + turn
+    least = sin(0.5 * window) / (0.5 * window)
     normals = list(product((-sin(off), sin(off)), (least * cos(off), 1.0)))
     S = np.array([1.0, 1.0, V * PACE, (V * PACE) ** 2 / l_r])
     out = []
@@ -59,28 +51,92 @@ def family(gains: Any, dt: float) -> Array:
         A[:2, 3] = (V * dt) ** 2 / (2.0 * l_r) * slope * np.array(m)
         A[2, 3] = V * dt / l_r * slope
         out.append(S[:, None] * (correct @ A) / S)
-    return np.array(out)
+    return np.array(out), S[:, None] * (correct[:, :2] - np.eye(4, 2))
 
 
-@cache
-def certificate(gains: Any) -> Certificate:
-    """One P for all corners and steps; whether it holds is for `Certificate.margin` to say."""
-    return Certificate(
-        observer="constant_velocity",
-        form="sampled",
-        matrices=np.concatenate([family(gains._replace(speed_chain=0.0), dt) for dt in DTS]),
-        P=P,
-        rate=RATE,
-        region={
-            "speed [m/s]": (gains.speed, gains.speed),
-            "time step, one of 0.05, 0.10, 0.15, 0.20, 0.25 [s]": (DTS[0], DTS[-1]),
-            "error of the course [rad]": (-WINDOW, WINDOW),
-            "turn of the estimated course [rad/s]": (-TURN, TURN),
+def claim(gains: Any, form: Form = "sampled", **asked: Any) -> Claim:
+    """Claim for `constant_velocity.Gains`; `asked`: arguments of `_continuous` or `_sampled`."""
+    return _continuous(gains, **asked) if form == "continuous" else _sampled(gains, **asked)
+
+
+def _continuous(
+    gains: Any,
+    speed: tuple[float, float] | None = None,
+    window: float = pi / 5.0,
+    yaw_rate: float = 0.5,
+    slip: float = SLIP,
+) -> Claim:
+    """At speeds [m/s], courses within `window` [rad] of the frame, which turns at up to `yaw_rate` [rad/s].
+
+    The gain turns with the frame; nothing is proven to be the same at all of the speeds but the gain.
+    InputError for a speed or window that is not positive, or a window beyond a right angle.
+    """
+    speeds = (gains.speed, gains.speed) if speed is None else speed
+    if not (0.0 < speeds[0] <= speeds[1] < np.inf and 0.0 < window < 0.5 * pi and yaw_rate >= 0.0):
+        raise InputError(
+            f"speeds {speeds[0]:g} to {speeds[1]:g} m/s, window {window:g} rad, yaw rate {yaw_rate:g}; want "
+            "0 < low <= high, a window below pi/2 and a rate of 0 or more: no proof crosses standstill"
+        )
+    F, corners = polytopes.constant_velocity(sorted(set(speeds)), window, yaw_rate, gains.l_r, slip)
+    T = np.array([1.0, 1.0, 0.2, 0.1])
+    L = np.array([[gains.L_x, 0.0], [0.0, gains.L_y], [0.0, gains.L_psi], [0.0, gains.L_beta]])
+    A = (F - L @ np.eye(2, 4)) / T[:, None] * T
+    B = np.repeat((-L / T[:, None])[None], len(A), axis=0)
+    return Claim(
+        "constant_velocity",
+        "continuous",
+        Family(A, corners),
+        {
+            "speed [m/s]": speeds,
+            "course minus that of the frame [rad]": (-window, window),
+            "yaw rate [rad/s]": (-yaw_rate, yaw_rate),
         },
-        assumptions=(
+        (
+            "The speed is given exactly.",
+            f"The slip is constant, within {np.degrees(slip):g} degrees; its changes act like a disturbance.",
+            "Every state on the line between estimate and truth is within the region.",
+            "The observer runs in continuous time; between two samples the measurement is on their line.",
+            "Every sample is used: nothing is missing, held or limited.",
+        ),
+        {"speed": speeds, "window": window, "yaw_rate": yaw_rate, "slip": slip},
+        sought=(
+            Sought("position", "position", A, B, np.eye(2, 4)),
+            Sought("course", "position", A, B, np.array([[0.0, 0.0, T[2], T[3]]])),
+        ),
+    )
+
+
+def _sampled(
+    gains: Any,
+    window: float = pi / 3.0,
+    turn: float = 1.0,
+    dt: tuple[float, ...] = (0.05, 0.1, 0.15, 0.2, 0.25),
+) -> Claim:
+    """For course errors within `window` [rad], an estimate turning at up to `turn` [rad/s], steps dt [s]."""
+    made = [family(gains._replace(speed_chain=0.0), h, window, turn) for h in dt]
+    A = np.concatenate([matrices for matrices, _ in made])
+    B = np.concatenate([np.repeat(L[None], len(matrices), axis=0) for matrices, L in made])
+    each = len(A) // len(dt)
+    names = tuple(f"step of {h:g} s, corner {i}" for h in dt for i in range(each))
+    return Claim(
+        "constant_velocity",
+        "sampled",
+        Family(A, names),
+        {
+            "speed [m/s]": (gains.speed, gains.speed),
+            f"time step, one of {', '.join(f'{h:g}' for h in dt)} [s]": (min(dt), max(dt)),
+            "error of the course [rad]": (-window, window),
+            "turn of the estimated course [rad/s]": (-turn, turn),
+        },
+        (
             "The speed is given exactly: speed_chain = 0, and the vehicle keeps it.",
             "The gain turns with the course: switched = 0.",
             "The slip is constant and within 20 degrees; what it changes acts like a disturbance.",
             "Positions are the only output: heading = 0; nothing is missing or limited.",
+        ),
+        {"window": window, "turn": turn, "dt": dt},
+        sought=(
+            Sought("position", "position", A, B, np.eye(2, 4)),
+            Sought("course", "position", A, B, np.array([[0.0, 0.0, 1.0 / (gains.speed * PACE), 0.0]])),
         ),
     )

@@ -1,4 +1,4 @@
-"""Proof for the invariant observer: its error matrices over a region, and a quadratic form that shrinks.
+"""What is claimed of the invariant observer: its error matrices over a region.
 
 Errors are seen from the estimate: (along, speed, acceleration, across, course, curvature, slip). There the
 heading of the vehicle drops out, so one set of matrices serves all headings. The mirrored world mirrors the
@@ -13,7 +13,11 @@ from math import cos, exp, expm1, sin
 
 import numpy as np
 
-from outrider.certificate import Array, Bound, Certificate, peak
+from outrider.certificate import Array
+from outrider.claim import Claim, Sought
+from outrider.errors import InputError
+from outrider.family import Family
+from outrider.inequalities import Form
 from outrider.observers.invariant import NOMINAL, NOMINAL_HEADING, Correction, Gains, correction
 
 REGION = {
@@ -28,33 +32,23 @@ REGION = {
 WEIGHTS = (0.7, 0.3), (0.7, 1.0), (1.0, 0.0), (1.0, 1.0)
 GRID = 4, 9, 3  # points of the first three, the turn to one side only
 STEP = 0.1  # matrices are brought to this time between samples [s]
-DECAY = 0.05  # of the error, at least [1/s]; P was found for twice that: room between grid points
-# Lower halves of the two blocks of P, found by benchmarks/certificates/invariant.py
-# fmt: off
-P_ALONG = (
-    2.51939,
-    -0.987283, 3.28779,
-    -2.16696, -0.155059, 8.39164,
-)
-P_ACROSS = (
-    4.66824,
-    -0.734425, 4.19006,
-    -2.84852, -1.56391, 7.0307,
-    0.319047, -0.73191, -0.11549, 1.2231,
-)
-# fmt: on
+DECAY = 0.05  # of the error, at least [1/s]; P is searched for twice that: room between grid points
+BLOCKS = ((range(3),), (range(3, 7),))  # along, across: the mirrored world mirrors the second
 
 
-def certificate(gains: Gains) -> Certificate:
-    """The family of `gains` with the P that was found for the default ones."""
-    return Certificate(
-        observer="invariant",
-        form="sampled",
-        matrices=np.array([A * np.exp(DECAY * (dt - STEP)) for dt, A in family(gains)]),
-        P=lyapunov(),
-        rate=float(np.exp(-DECAY * STEP)),
-        region=REGION,
-        assumptions=(
+def claim(gains: Gains, form: Form = "sampled") -> Claim:
+    """Claim for `invariant.Gains` over REGION; InputError for a form it has not."""
+    if form != "sampled":
+        raise InputError(f"invariant has no proof in {form!r} form; want sampled")
+    made = list(family(gains))
+    matrices = np.array([A * np.exp(DECAY * (dt - STEP)) for dt, A in made])
+    names = tuple(f"point {i} of the grid, step {dt:.3g} s" for i, (dt, _) in enumerate(made))
+    return Claim(
+        "invariant",
+        "sampled",
+        Family(matrices, names),
+        REGION,
+        (
             "The error is small: the dynamics are linearised about the true motion, which may turn.",
             "The gains have settled: the ramp after the start is over.",
             "Measured positions have the deviation 0.1 m and headings 0.1 rad, added noise included.",
@@ -63,20 +57,13 @@ def certificate(gains: Gains) -> Certificate:
             "Between grid points the matrices differ from interpolated ones by less than the margin.",
             "Matrices are brought to 0.1 s: the error shrinks by the rate in 0.1 s, whatever the sampling.",
         ),
-        bounds=bounds(gains),
+        {},
+        BLOCKS,
+        _sought(gains),
     )
 
 
-def lyapunov() -> Array:
-    """P (7, 7)."""
-    P = np.zeros((7, 7))
-    P[np.tril_indices(3)] = P_ALONG
-    rows, columns = np.tril_indices(4)
-    P[rows + 3, columns + 3] = P_ACROSS
-    return P + np.tril(P, -1).T
-
-
-def bounds(gains: Gains, dt: float = STEP, V: float = NOMINAL[1]) -> tuple[Bound, ...]:
+def _sought(gains: Gains, dt: float = STEP, V: float = NOMINAL[1]) -> tuple[Sought, ...]:
     """Errors on a straight path at speed V under position noise of any shape, bounded by 1 m; no heading.
 
     Exact: sums of the absolute impulse response, reached by noise with its signs.
@@ -90,12 +77,9 @@ def bounds(gains: Gains, dt: float = STEP, V: float = NOMINAL[1]) -> tuple[Bound
         ("position across", "position across", 3, 3),
         ("course", "position across", 4, 3),
     )
-    made = []
-    for of, by, i, j in pairs:
-        b, c = B[:, j : j + 1], np.eye(7)[i : i + 1]
-        gain = peak(A, b, c, "sampled")
-        made.append(Bound(of, by, gain, True, A=A[None], B=b[None], C=c))
-    return tuple(made)
+    return tuple(
+        Sought(of, by, A[None], B[None, :, j : j + 1], np.eye(7)[i : i + 1]) for of, by, i, j in pairs
+    )
 
 
 def error_matrix(

@@ -173,11 +173,18 @@ def innovation(state: State, measurement: Measurement, gains: Gains) -> Innovati
     return _innovation(state, measurement, sampled(SCAN, gains), gains)
 
 
-def certificate() -> Any:
-    """Proof that errors of the default gains decay, as they are sampled; `certificate.Certificate`."""
+def claim(gains: Gains, form: Any = "sampled", **asked: Any) -> Any:
+    """What is claimed of the errors under these gains; `claim.Claim`, see `_constant_velocity_proof`."""
     from outrider.observers import _constant_velocity_proof
 
-    return _constant_velocity_proof.certificate(Gains())
+    return _constant_velocity_proof.claim(gains, form, **asked)
+
+
+def certificate(gains: Gains = Gains()) -> Any:  # noqa: B008
+    """Proof that errors decay as they are sampled, with what proves it for the default gains."""
+    from outrider.observers import _shipped
+
+    return _shipped.certificate("constant_velocity", gains)
 
 
 @kernel

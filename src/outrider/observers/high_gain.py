@@ -196,11 +196,18 @@ def innovation(state: State, measurement: Measurement, gains: Gains) -> Innovati
     return _innovation(state, measurement, l1, gains)
 
 
-def certificate() -> Any:
-    """Evidence that errors of the default gains decay, as they are sampled; `certificate.Certificate`."""
+def claim(gains: Gains, form: Any = "sampled", **asked: Any) -> Any:
+    """What is claimed of the errors under these gains; `claim.Claim`, its region in `_high_gain_proof`."""
     from outrider.observers import _high_gain_proof
 
-    return _high_gain_proof.certificate(Gains())
+    return _high_gain_proof.claim(gains, form, **asked)
+
+
+def certificate(gains: Gains = Gains()) -> Any:  # noqa: B008
+    """Evidence that errors decay as they are sampled, with what proves it for the default gains."""
+    from outrider.observers import _shipped
+
+    return _shipped.certificate("high_gain", gains)
 
 
 @kernel

@@ -273,11 +273,18 @@ def innovation(state: State, measurement: Measurement, gains: Gains) -> Innovati
     return Innovation(y.x - s.x, y.y - s.y, xx, xy, yy)
 
 
-def certificate() -> Any:
-    """Proof that the error of the default gains decays, for every heading; `certificate.Certificate`."""
+def claim(gains: Gains, form: Any = "sampled", **asked: Any) -> Any:
+    """What is claimed of the errors under these gains; `claim.Claim`, its region in `_invariant_proof`."""
     from outrider.observers import _invariant_proof
 
-    return _invariant_proof.certificate(Gains())
+    return _invariant_proof.claim(gains, form, **asked)
+
+
+def certificate(gains: Gains = Gains()) -> Any:  # noqa: B008
+    """Proof that errors decay as they are sampled, with what proves it for the default gains."""
+    from outrider.observers import _shipped
+
+    return _shipped.certificate("invariant", gains)
 
 
 @kernel

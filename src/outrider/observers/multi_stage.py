@@ -7,9 +7,8 @@ What differs from the paper, and why, is in docs/observers/multi_stage.md.
 from __future__ import annotations
 
 from math import atan2, ceil, cos, hypot, inf, pi, sin
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from outrider.certificate import Certificate
 from outrider.kernel import kernel, rk4, wrap
 from outrider.observers import Innovation, Measurement, Motion
 from outrider.observers._measured import directed, heading_or, pointed, seen
@@ -31,14 +30,6 @@ L_PSI = (  # L_z(1) [1/s]
 L_BETA = (  # L_z(2) [1/s]
     0.25, 0.27, 0.30, 0.33, 0.37, 0.50, 0.70, 0.99, 1.17, 0.66, 0.68,
     0.71, 0.74, 0.77, 0.79, 0.82, 0.85, 0.88, 0.89, 0.91, 0.92,
-)
-OUR_PSI = (  # the same from our own inequalities, all entries by one proof: docs/proofs.md [1/s]
-    0.9299, 1.075, 1.231, 1.487, 1.767, 2.045, 2.323, 2.602, 2.88, 3.159, 3.437,
-    3.716, 3.994, 4.273, 4.551, 4.83, 5.108, 5.387, 5.665, 5.942, 6.238,
-)
-OUR_BETA = (  # [1/s]
-    0.3391, 0.3861, 0.3863, 0.4271, 0.4639, 0.5052, 0.5489, 0.5946, 0.6416, 0.6895, 0.7381,
-    0.7873, 0.837, 0.8871, 0.9375, 0.9882, 1.039, 1.09, 1.142, 1.193, 1.282,
 )
 # fmt: on
 
@@ -81,10 +72,16 @@ class Gains(NamedTuple):
     gate: float = 2.0  # a way shorter than this many standard deviations has no direction [-]
     coast: float = 1.0  # time constant with which the acceleration fades while nothing is measured [s]
     reverse: float = 4.0  # what reverses faster is turned round, unless `heading` is used [m/s]
-    table: float = 0.0  # orientation gains: 0 those of Table I, 1 our own [-]
+    psi_0: float = 0.0  # orientation gains psi_0 + psi_V |V|, beta_0 + beta_V |V| [1/s]
+    psi_V: float = 0.0  # 0: those of Table I instead [1/m]
+    beta_0: float = 0.0  # [1/s]
+    beta_V: float = 0.0  # [1/m]
 
 
-DESIGNED = Gains(10.55, 38.64, 58.24, 31.34, L_w=19.56, table=1.0)
+# Proven from 1 to 20 m/s with a decay rate of 0.05/s: design.multi_stage.
+DESIGNED = Gains(
+    10.55, 38.64, 58.24, 31.34, L_w=19.56, psi_0=0.6419, psi_V=0.278, beta_0=0.3545, beta_V=0.04631
+)
 
 
 class Output(NamedTuple):
@@ -197,24 +194,33 @@ def innovation(state: State, measurement: Measurement, gains: Gains) -> Innovati
     return Innovation(y.x - state.x, y.y - state.y, xx, 2.0 * y.xy, yy)
 
 
-def certificate(gains: Gains = Gains()) -> Certificate:  # noqa: B008
-    """Proof that the whole cascade is stable with the default gains, or with DESIGNED, table switched."""
+def claim(gains: Gains, form: Any = "continuous", **asked: Any) -> Any:
+    """What is claimed of the errors of the whole cascade; `claim.Claim`, its region in `_cascade`."""
     from outrider.observers import _cascade
 
-    return _cascade.certificate(gains)
+    return _cascade.claim(gains, form, **asked)
+
+
+def certificate(gains: Gains = Gains()) -> Any:  # noqa: B008
+    """Proof that the whole cascade is stable with the default gains or DESIGNED; what it says for others."""
+    from outrider.observers import _shipped
+
+    lined = gains.psi_V > 0.0
+    return _shipped.certificate("multi_stage.designed" if lined else "multi_stage", gains)
 
 
 @kernel
 def _coefficients(
     state: State, measurement: Measurement, moved: bool, clear: bool, gains: Gains
 ) -> Coefficients:
-    """Gains of this sample: the table at the nearest nominal speed, mirrored when reversing."""
+    """Gains of this sample: the line, or the table at the nearest nominal speed; mirrored when reversing."""
     i = 0
     while i + 1 < len(NOMINAL) and abs(NOMINAL[i + 1] - abs(state.V)) < abs(NOMINAL[i] - abs(state.V)):
         i += 1
     L_psi, L_beta = gains.orientation * L_PSI[i], gains.orientation * L_BETA[i]
-    if gains.table > 0.5:
-        L_psi, L_beta = gains.orientation * OUR_PSI[i], gains.orientation * OUR_BETA[i]
+    if gains.psi_V > 0.0:
+        L_psi = gains.orientation * (gains.psi_0 + gains.psi_V * abs(state.V))
+        L_beta = gains.orientation * (gains.beta_0 + gains.beta_V * abs(state.V))
     if state.V < 0.0:  # the same poles as forward, where the published signs would be unstable
         L_psi, L_beta = L_psi + 2.0 * L_beta, -L_beta
     if not clear:
