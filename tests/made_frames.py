@@ -116,6 +116,8 @@ def make_frames(
             *(np.zeros(len(ttc)) for _ in range(3)),
             np.isfinite(ttc),
             np.zeros(len(ttc)),
+            np.maximum(ttc - 0.5, 0.0),
+            ttc + 0.5,
         )
         i = int(np.argmin(ttc)) if len(ttc) else -1
         level = next((lv for s, lv in ladder if i >= 0 and ttc[i] < s), Level.NONE)
@@ -140,6 +142,8 @@ def _tracks(now: float, t: float, there: list[Car], poses: np.ndarray) -> Tracks
         cov=np.tile(0.01 * np.eye(2), (n, 1, 1)),
         hits=np.full(n, 12, np.int64),
         age=np.array([t - c.born for c in there]),
+        bound=np.tile([0.3, 1.0], (n, 1)),
+        broken=np.zeros(n, np.bool_),
     )
 
 

@@ -18,21 +18,23 @@ NONE, NOTICE, CAUTION, DANGER = Level
 DT = 0.1
 
 
-def threats(t, ttc, ids=(1,), closing=5.0, inside=True):
+def threats(t, ttc, ids=(1,), closing=5.0, inside=True, earliest=None):
     ttc, n = np.atleast_1d(np.asarray(ttc, float)), len(ids)
     distance = np.where(np.isfinite(ttc), 0.0, 2.0)
     return Threats(
         t, np.array(ids), np.resize(ttc, n), np.resize(distance, n), np.zeros(n), np.zeros(n),
-        np.full(n, inside), np.full(n, float(closing)),
+        np.full(n, inside), np.full(n, float(closing)), np.resize(ttc if earliest is None else earliest, n),
+        np.full(n, np.inf),
     )  # fmt: skip
 
 
-def tracks(t, ids=(1,), state=TrackState.CONFIRMED, x=-20.0, y=0.0, speed=10.0):
+def tracks(t, ids=(1,), state=TrackState.CONFIRMED, x=-20.0, y=0.0, speed=10.0, broken=False):
     n = len(ids)
     zero = np.zeros(n)
     return Tracks(
         t, np.array(ids), np.full(n, state, np.uint8), np.tile([x, y], (n, 1)), zero + speed, zero, zero,
         zero, zero, zero, np.tile([4.0, 2.0], (n, 1)), np.zeros((n, 2, 2)), np.full(n, 9), zero + 1.0,
+        np.tile([0.2, 1.0], (n, 1)), np.full(n, broken),
     )  # fmt: skip
 
 

@@ -67,6 +67,20 @@ def test_compare_observers():
     assert winner.split(" | ")[6].endswith("*")
 
 
+def test_guaranteed_bounds():
+    printed = run("guaranteed_bounds", "turning", "0.2")
+    rows = re.findall(
+        r"^ +\d+\.\d +(\d\.\d\d) <= +(\d\.\d\d) +(\d\.\d\d) <= +(\d\.\d\d) ", printed, flags=re.M
+    )
+    assert len(rows) >= 6
+    assert all(float(a) <= float(b) and float(c) <= float(d) for a, b, c, d in rows)
+    outside, scans = map(
+        int, re.search(r"^outside its bound in (\d+) of (\d+) scans$", printed, flags=re.M).groups()
+    )
+    assert outside == 0
+    assert scans > 60
+
+
 def test_the_settings_of_the_model_cars_are_those_of_the_data_set():
     given = settings.load(EXAMPLES / "model_car.toml")
     assert given == offline.settle(datasets.entry("datmo/overtakes").settings, None)

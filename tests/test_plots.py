@@ -1,17 +1,18 @@
 """The pictures: that what is drawn is what the run holds, and that it can be read."""
 
+from dataclasses import replace
 from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.collections import LineCollection, PatchCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from matplotlib.text import Annotation, Text
 from numpy.testing import assert_allclose
 
 from made_frames import STREET, Car, make_frames
-from outrider import plots
+from outrider import plots, plots_bounds
 from outrider.errors import OutputError
 from outrider.io.run import RunWriter, open_run
 from outrider.metrics import Truth
@@ -65,6 +66,34 @@ def test_a_way_is_where_the_track_was():
 def circle_centre(car):
     x, y, yaw = car.start
     return np.array([x, y]) + car.speed / car.yaw_rate * np.array([-np.sin(yaw), np.cos(yaw)])
+
+
+def test_a_bound_is_a_disc_as_wide_as_it_is():
+    run = run_of((STREET[3],))
+    ax = plots.scene(run)
+    (discs,) = [
+        c for c in ax.collections if isinstance(c, PatchCollection) and c.get_alpha() == plots_bounds.SHADE
+    ]
+    sizes = np.array([np.ptp(path.vertices, axis=0) for path in discs.get_paths()])
+    assert len(sizes) >= 7
+    assert_allclose(sizes, 0.6, atol=1e-6)
+    assert "guaranteed to be within" in [text.get_text() for text in ax.get_legend().get_texts()]
+
+
+def test_what_is_not_bounded_has_no_shade():
+    run = run_of((STREET[3],))
+    names = [n for n in run.tracks.column_names if not n.startswith("bound")]
+    for table in (run.tracks.select(names), no_bounds(run.tracks)):  # of an older version; switched off
+        there = replace(run, tracks=table)
+        for ax in (plots.scene(there), plots.tracks(there)[0]):
+            said = [text.get_text() for text in ax.get_legend().get_texts()]
+            assert "guaranteed to be within" not in said
+
+
+def no_bounds(table):
+    names = ("bound_position", "bound_speed")
+    columns = {n: np.full(len(table), np.inf) if n in names else table[n] for n in table.column_names}
+    return type(table).from_pydict(columns)
 
 
 def test_only_what_moved_long_enough_is_named():

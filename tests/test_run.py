@@ -30,7 +30,8 @@ from outrider.settings import Settings
 
 COLUMNS = [
     *("t", "track_id", "x", "y", "vx", "vy", "speed", "acceleration", "course", "yaw", "slip", "yaw_rate"),
-    *("length", "width", "state", "hits", "ttc"),
+    *("length", "width", "state", "hits", "ttc", "bound_position", "bound_speed", "bound_course"),
+    *("ttc_earliest", "ttc_latest"),
 ]
 FRAMES = list(make_frames(40))
 
@@ -59,7 +60,10 @@ def test_every_track_of_every_scan_is_a_row():
         assert_array_equal(rows[["length", "width"]], frame.tracks.extent)
         for name in ("speed", "acceleration", "course", "yaw", "slip", "yaw_rate", "hits"):
             assert_array_equal(rows[name], getattr(frame.tracks, name))
-        assert_array_equal(rows.ttc, frame.threats.ttc)
+        assert_array_equal(rows[["bound_position", "bound_speed"]], frame.tracks.bound)
+        assert_array_equal(rows.bound_course, frame.tracks.course_bound)
+        for name in ("ttc", "ttc_earliest", "ttc_latest"):
+            assert_array_equal(rows[name], getattr(frame.threats, name))
         assert list(rows.state) == [TrackState(s).name.lower() for s in frame.tracks.state]
 
 
@@ -75,6 +79,7 @@ def test_every_scan_is_a_row_even_when_there_is_no_track():
 def test_lengths_are_those_of_the_recording():
     full, small = write("full").to_pandas(), write("small", scale=10.0).to_pandas()
     lengths = ["x", "y", "vx", "vy", "speed", "acceleration", "length", "width"]
+    lengths += ["bound_position", "bound_speed"]
     assert_allclose(small[lengths], full[lengths] / 10.0, atol=1e-12)
     rest = [c for c in COLUMNS if c not in lengths]
     assert small[rest].equals(full[rest])

@@ -22,7 +22,7 @@ FRONT, SIDE = 0.9, 0.6
 THREAT = settings.Threat()
 
 
-def tracks(*rows, extent=CAR, state=TrackState.CONFIRMED):
+def tracks(*rows, extent=CAR, state=TrackState.CONFIRMED, bound=(np.inf, np.inf)):
     """Tracks from rows x, y, course, speed, acceleration, yaw_rate, slip; what is left out is 0."""
     table = np.zeros((len(rows), 7))
     for i, row in enumerate(rows):
@@ -44,6 +44,8 @@ def tracks(*rows, extent=CAR, state=TrackState.CONFIRMED):
         cov=np.tile(0.01 * np.eye(2), (n, 1, 1)),
         hits=np.full(n, 9),
         age=np.full(n, 2.0),
+        bound=np.tile(np.asarray(bound, float), (n, 1)),
+        broken=np.zeros(n, np.bool_),
     )
 
 

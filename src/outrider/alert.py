@@ -12,7 +12,7 @@ import numpy as np
 
 from outrider import settings
 from outrider.errors import InputError
-from outrider.records import Alert, Ints, Level, Scan, Threats, Tracks, TrackState
+from outrider.records import Alert, Array, Bools, Ints, Level, Scan, Threats, Tracks, TrackState
 
 NEVER = -np.inf
 UNTRUSTED = ("ego pose stale", "ego pose frozen", "no ego pose")  # faults of a scan that degrade the warning
@@ -69,20 +69,35 @@ def alert(
         run = _next(memory.runs.get(i, Run()), wanted.get(i, 0), t, limits)
         if any(run.scans) or run.level:
             runs[i] = run
-    ttc = dict(zip(threats.id.tolist(), threats.ttc.tolist(), strict=True))
+    ttc = dict(zip(threats.id.tolist(), _times(threats, limits).tolist(), strict=True))
     level, _, track = max(((r.level, -ttc.get(i, np.inf), -i) for i, r in runs.items()), default=(0, 0.0, 1))
     track = -track if level else -1
     lost = int(np.sum(~np.isfinite(threats.closest_distance)))
     reasons = (*health, f"{lost} of {len(threats.id)} tracks could not be assessed") if lost else health
+    broken = int(np.sum(tracks.broken & _heard(tracks)))
+    if broken and limits.act_on == "earliest":
+        reasons = (*reasons, f"the bounds of {broken} of {len(threats.id)} tracks did not hold")
     return AlertMemory(t, runs), Alert(t, Level(level), track, ttc.get(track, np.inf), reasons)
 
 
+def _times(threats: Threats, limits: settings.Alert) -> Array:
+    """Time to collision (n,) that is acted on [s]."""
+    return threats.ttc_earliest if limits.act_on == "earliest" else threats.ttc
+
+
+def _heard(tracks: Tracks) -> Bools:
+    """Which tracks (n,) may raise an alert: those that move."""
+    heard: Bools = (tracks.state == TrackState.CONFIRMED) | (tracks.state == TrackState.COASTING)
+    return heard
+
+
 def _wanted(threats: Threats, tracks: Tracks, limits: settings.Alert) -> Ints:
-    """Level (n,) each track asks for in this scan."""
-    heard = (tracks.state == TrackState.CONFIRMED) | (tracks.state == TrackState.COASTING)
-    heard &= threats.in_corridor & (threats.closing_speed >= limits.min_speed_mps)
+    """Level (n,) each track asks for in this scan; by the earliest contact, its path need not be a threat."""
+    heard = _heard(tracks)
+    if limits.act_on == "expected":
+        heard &= threats.in_corridor & (threats.closing_speed >= limits.min_speed_mps)
     ladder = np.array([limits.notice_s, limits.caution_s, limits.danger_s])
-    return np.where(heard, (threats.ttc[:, None] <= ladder).sum(axis=1), 0).astype(np.int64)
+    return np.where(heard, (_times(threats, limits)[:, None] <= ladder).sum(axis=1), 0).astype(np.int64)
 
 
 def _next(run: Run, wanted: int, t: float, limits: settings.Alert) -> Run:

@@ -75,6 +75,7 @@ def births(
     born.seen[:] = detections.hit_t[new]
     born.hits[:] = detections.hits[new]
     born.z[:, :2] = born.home[:] = born.x[:, :2]
+    born.looks[:, 0] = np.column_stack([born.seen, born.x[:, :2]])
     return born.keep(good)
 
 

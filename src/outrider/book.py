@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from outrider.envelope import LOOKS
 from outrider.records import Array, Bools, Bytes, Ints, Scan, TrackState
 
 N_MEASURED = 9  # columns of an observer's measurement
@@ -33,6 +34,8 @@ class Book:
     z: Array  # (n, 9) last measurement, as the observer takes it
     obs: Array  # (n, m) the observer's state, at `seen`
     hits: Ints  # (n,) returns in the last scan
+    looks: Array  # (n, LOOKS, 3) time [s] and place [m] of the last measurements, newest first; NaN: none
+    broken: Bools  # (n,) what is assumed for the bounds did not hold, as the last scan shows
 
     def __len__(self) -> int:
         return len(self.id)
@@ -79,6 +82,8 @@ def empty(n: int, n_states: int) -> Book:
         z=np.full((n, N_MEASURED), np.nan),
         obs=np.zeros((n, n_states)),
         hits=np.zeros(n, np.int64),
+        looks=np.full((n, LOOKS, 3), np.nan),
+        broken=np.zeros(n, np.bool_),
     )
 
 

@@ -83,7 +83,7 @@ def gap_at(b: Body, r: Mover, t: float) -> Any:
 
 
 @kernel
-def _agility(b: Body, r: Mover, horizon: float) -> Any:
+def agility(b: Body, r: Mover, horizon: float) -> Any:
     """Bound on how fast the relative speed of any two points of the bodies grows [m/s2]."""
     top = abs(b.speed) + max(b.acceleration * np.copysign(horizon, b.speed), 0.0)
     radius, bend = np.hypot(b.half_length, b.half_width), abs(b.curvature)
@@ -91,16 +91,21 @@ def _agility(b: Body, r: Mover, horizon: float) -> Any:
 
 
 @kernel
-def _safe_time(b: Body, r: Mover, t: float, way: float, agility: float) -> Any:
-    """Time from t in which the gap cannot change by more than `way` > 0 [s]."""
+def rush(b: Body, r: Mover, t: float) -> Any:
+    """Bound on how fast the gap changes after t [m/s]."""
     v = b.speed + b.acceleration * t if t < b.stop else 0.0
     course, rcourse = b.course + b.curvature * travelled(b, t), r.course + r.yaw_rate * t
     vx = v * np.cos(course) - r.speed * np.cos(rcourse)
     vy = v * np.sin(course) - r.speed * np.sin(rcourse)
     spin = abs(b.curvature * v) * np.hypot(b.half_length, b.half_width)
     spin += abs(r.yaw_rate) * (abs(r.ahead) + np.hypot(r.half_length, r.half_width))
-    u = np.hypot(vx, vy) + spin
-    return 2.0 * way / (u + np.sqrt(u * u + 2.0 * agility * way))
+    return np.hypot(vx, vy) + spin
+
+
+@kernel
+def safe_time(u: float, way: float, most: float) -> Any:
+    """Time in which what changes at u [m/s], and u by at most `most` [m/s2], changes by `way` > 0 [s]."""
+    return 2.0 * way / (u + np.sqrt(u * u + 2.0 * most * way))
 
 
 # ------------------------------------------------------------------ geometry
@@ -149,12 +154,12 @@ def gap(
 @kernel
 def first_contact(b: Body, r: Mover, horizon: float, tick: float) -> Any:
     """Time of the first touch [s], inf for none: steps no longer than the gap allows, then bisection."""
-    t, way, agility = 0.0, gap_at(b, r, 0.0), _agility(b, r, horizon)
+    t, way, most = 0.0, gap_at(b, r, 0.0), agility(b, r, horizon)
     if way <= 0.0:
         return 0.0
     while t < horizon:
         before = t
-        t = min(t + max(_safe_time(b, r, t, way, agility), tick), horizon)
+        t = min(t + max(safe_time(rush(b, r, t), way, most), tick), horizon)
         way = gap_at(b, r, t)
         if way <= 0.0:
             for _ in range(24):
@@ -170,11 +175,11 @@ def first_contact(b: Body, r: Mover, horizon: float, tick: float) -> Any:
 @kernel
 def closest(b: Body, r: Mover, horizon: float, step: float) -> Any:
     """Least gap [m] and when [s], of bodies that do not touch: samples, then golden section at the best."""
-    agility = _agility(b, r, horizon)
+    most = agility(b, r, horizon)
     t, best, when = 0.0, gap_at(b, r, 0.0), 0.0
     way = best
     while t < horizon:
-        idle = _safe_time(b, r, t, way - best, agility) if way > best else 0.0
+        idle = safe_time(rush(b, r, t), way - best, most) if way > best else 0.0
         t = min(t + max(step, idle), horizon)
         way = gap_at(b, r, t)
         if way < best:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from outrider import alert as alerts
+from outrider import envelope
 from outrider.alert import AlertMemory
 from outrider.book import TrackMemory
 from outrider.detect import detect
@@ -28,7 +29,8 @@ class Memory:
 
 
 def start(settings: Settings) -> Memory:
-    """Memory before the first scan; InputError for an observer or gain that is not known."""
+    """Memory before the first scan; InputError for an unknown observer or gain, or limits that cannot be."""
+    envelope.check(settings)
     return Memory(no_tracks(settings), alerts.start(), History())
 
 

@@ -24,6 +24,7 @@ from matplotlib.patches import Patch
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
+from outrider import plots_bounds
 from outrider.errors import OutputError
 from outrider.geometry import corners
 from outrider.metrics import Truth
@@ -127,7 +128,8 @@ def scene(run: _Run, truth: Mapping[str, Truth] | None = None, ax: Axes | None =
     told = _draw_alerts(ax, run, ways)
     _label(ax, strong, ego)
     ax.set(xlabel="x [m]", ylabel="y [m]", title=_title(run, strong, end - start))
-    ax.legend(handles=_scene_legend(told, bool(truth)), loc="upper right", framealpha=0.95).set_zorder(20)
+    handles = _scene_legend(told, bool(truth)) + plots_bounds.legend(run.tracks)
+    ax.legend(handles=handles, loc="upper right", framealpha=0.95).set_zorder(20)
     bar = ax.inset_axes((1.015, 0.0, 0.02, 1.0))
     _root(ax).colorbar(color, cax=bar, label="time from the start [s]")
     return ax
@@ -199,6 +201,7 @@ def _draw_way(ax: Axes, way: _Way, start: float, color: ScalarMappable) -> None:
     some = rows[:: max(len(rows) // 7, 1)]
     shade = color.to_rgba(t[some])
     ax.add_collection(_outlines(way.boxes[some], facecolors="none", edgecolors=shade, lw=1.2, zorder=4))
+    plots_bounds.around(ax, way.c, some, shade)
     ax.quiver(
         *p[some].T,
         0.5 * way.c["vx"][some],
@@ -342,6 +345,8 @@ def tracks(
         course.plot(*_broken(body.t - start, direction, 180.0), **TRUTH, zorder=5)
     _bands(axes, run, start, end)
     _dress(run, speed, course, ttc, len(moved), bool(truth))
+    for i, way in enumerate(sorted(moved[:MOST], key=lambda w: w.id)):
+        plots_bounds.beside(axes, way.c["t"] - start, way.c, way.moving, LINES[i % len(LINES)])
     speed.set_xlim(0.0, max(end - start, 1e-3))
     return speed, course, ttc
 
@@ -383,6 +388,7 @@ def _dress(run: _Run, speed: Axes, course: Axes, ttc: Axes, moved: int, truth: b
         handles.append(Line2D([], [], label="truth", **TRUTH))
     told = {a["level"] for a in run.alerts}
     handles += [Patch(color=c, alpha=0.3, lw=0, label=level) for level, c in LEVELS.items() if level in told]
+    handles += plots_bounds.legend(run.tracks)
     if handles:
         speed.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.01), ncols=8, frameon=False)
     if moved > MOST:

@@ -149,12 +149,21 @@ class Tracks:
     cov: Array  # (n, 2, 2) of the body centre [m2]
     hits: Ints  # (n,) returns in this scan, 0 while coasting
     age: Array  # (n,) since birth [s]
+    bound: Array  # (n, 2) error of W_p and of W_v at most, if what is assumed holds [m, m/s]; inf: any
+    broken: Bools  # (n,) what was assumed for the bound did not hold, as this scan shows
 
     @property
     def W_v(self) -> Array:
         """(n, 2) velocity of the body centre [m/s]."""
         v: Array = self.speed[:, None] * np.column_stack([np.cos(self.course), np.sin(self.course)])
         return v
+
+    @property
+    def course_bound(self) -> Array:
+        """(n,) angle between W_v and the true velocity, at most [rad]; pi where it may be any."""
+        v, off = np.abs(self.speed), self.bound[:, 1]
+        known = off < v
+        return np.where(known, np.arcsin(np.divide(off, v, out=np.zeros(len(v)), where=known)), np.pi)
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,6 +178,8 @@ class Threats:
     required_deceleration: Array  # (n,) constant braking of the track that just avoids contact [m/s2]
     in_corridor: Bools  # (n,) comes into the rider's lateral corridor within the horizon
     closing_speed: Array  # (n,) mean rate at which the gap shrinks until contact or closest approach [m/s]
+    ttc_earliest: Array  # (n,) time to first overlap, at least, for all that the track's bound allows [s]
+    ttc_latest: Array  # (n,) the same, at most; inf where it may not touch within the horizon [s]
 
 
 class Level(IntEnum):
@@ -187,7 +198,7 @@ class Alert:
     t: float  # [s]
     level: Level
     track: int  # id of the track it is about, -1 for none
-    ttc: float  # of that track [s], inf for none
+    ttc: float  # of that track, as acted on: expected or earliest [s], inf for none
     degraded: tuple[str, ...]  # why the warning cannot be trusted now; empty when it can
 
 

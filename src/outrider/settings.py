@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 
@@ -94,6 +94,14 @@ class Observer(Section, frozen=True):
     gains: dict[str, dict[str, float]] = {}  # by observer: gain by name, where it differs from the default
 
 
+class Envelope(Section, frozen=True):
+    """Guaranteed bounds: what is assumed of the sensor and of every road user (docs/bounds.md)."""
+
+    position_m: float = 0.0  # a measured centre is off by at most this; 0: nothing is assumed, no bounds
+    acceleration_mps2: float = 8.0  # no road user's centre accelerates more, in any direction [m/s2]
+    speed_mps: float = 30.0  # none is faster
+
+
 class Threat(Section, frozen=True):
     """Prediction of contact."""
 
@@ -105,6 +113,7 @@ class Threat(Section, frozen=True):
 class Alert(Section, frozen=True):
     """Warning ladder, debounce, hysteresis and the limits of trust."""
 
+    act_on: Literal["expected", "earliest"] = "expected"  # which time to collision; earliest: by the bounds
     notice_s: float = 4.0  # time to collision below which NOTICE is asked for
     caution_s: float = 3.0  # CAUTION
     danger_s: float = 1.7  # DANGER
@@ -125,6 +134,7 @@ class Settings(Section, frozen=True):
     detect: Detect = Detect()
     track: Track = Track()
     observer: Observer = Observer()
+    envelope: Envelope = Envelope()
     threat: Threat = Threat()
     alert: Alert = Alert()
 

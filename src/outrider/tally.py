@@ -17,6 +17,7 @@ class Tally:
     def __init__(self) -> None:
         self._begun = time.perf_counter()
         self._step_s = array("d")
+        self._broken = 0
         self._at = dict.fromkeys(Level, 0.0)
         self._last: tuple[float, Level] | None = None
         self._least: tuple[float, int, float] | None = None  # ttc, track, t
@@ -28,6 +29,7 @@ class Tally:
             self._at[self._last[1]] += max(0.0, frame.t - self._last[0])
         self._last = (frame.t, frame.alert.level)
         heard = np.isin(frame.tracks.state, (TrackState.CONFIRMED, TrackState.COASTING))
+        self._broken += int((frame.tracks.broken & heard).sum())
         ttc = np.where(heard & frame.threats.in_corridor, frame.threats.ttc, np.inf)
         if len(ttc) and ttc.min() < (self._least[0] if self._least else np.inf):
             i = int(ttc.argmin())
@@ -42,6 +44,7 @@ class Tally:
             "duration_s": sum(self._at.values()),
             "seconds_at_level": {level.name.lower(): s for level, s in self._at.items()},
             "least_ttc": None if least is None else dict(zip(("ttc_s", "track_id", "t"), least, strict=True)),
+            "broken_bounds": self._broken,
             "speed": {
                 "scans_per_s": len(ms) / wall,
                 "median_ms": float(np.median(ms)) if len(ms) else None,

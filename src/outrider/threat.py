@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from outrider import settings
+from outrider.compiler import compiled
 from outrider.contact import (
     TICK,
     Body,
@@ -20,8 +21,9 @@ from outrider.contact import (
     required_deceleration,
 )
 from outrider.errors import InputError
-from outrider.kernel import compiled
-from outrider.records import Array, Bools, Ego, Threats, Tracks, TrackState
+from outrider.interval import apart, earliest, latest
+from outrider.kernel import from_row
+from outrider.records import Array, Bools, Ego, Ints, Threats, Tracks, TrackState
 
 HUGE = 1e9  # a state beyond this, in SI units, is as good as infinite
 
@@ -31,6 +33,8 @@ def assess(tracks: Tracks, ego: Ego, rider: settings.Rider, threat: settings.Thr
 
     A track that is STATIC is taken as standing. A row that cannot be assessed (a non-finite state, of the
     track or of the rider) has ttc and closest_distance inf: no other row has an infinite closest_distance.
+    ttc_earliest and ttc_latest hold for every place and velocity within the track's bound; without a bound
+    they are 0 and inf.
 
     Raises InputError for a horizon, step, corridor or size that is not positive.
     """
@@ -38,12 +42,15 @@ def assess(tracks: Tracks, ego: Ego, rider: settings.Rider, threat: settings.Thr
     bodies, finite = _bodies(tracks)
     mover = np.array(_mover(ego, rider))
     finite &= bool((np.abs(mover) < HUGE).all())
-    out = np.zeros((len(tracks.id), 6))
-    out[:, :2] = np.inf
-    half = 0.5 * threat.corridor_width_m
-    _assess(np.column_stack(bodies), mover, finite, threat.horizon_s, threat.step_s, half, out)
-    ttc, distance, time, braking, inside, closing = out.T.copy()
-    return Threats(tracks.t, tracks.id, ttc, distance, time, braking, inside > 0.5, closing)
+    out = np.zeros((len(tracks.id), 8))
+    out[:, [0, 1, 7]] = np.inf
+    half, columns = 0.5 * threat.corridor_width_m, np.column_stack(bodies)
+    _assess(columns, mover, finite, threat.horizon_s, threat.step_s, half, out)
+    bounded = finite & np.isfinite(tracks.bound).all(axis=1)
+    if bounded.any():
+        _between(columns, mover, np.flatnonzero(bounded), tracks.bound, threat.horizon_s, out)
+    ttc, distance, time, braking, inside, closing, first, last = out.T.copy()
+    return Threats(tracks.t, tracks.id, ttc, distance, time, braking, inside > 0.5, closing, first, last)
 
 
 def predict_arc(tracks: Tracks, horizon_s: float, step_s: float) -> Array:
@@ -98,14 +105,12 @@ def _mover(ego: Ego, rider: settings.Rider) -> Mover:
 def _assess(
     bodies: Array, mover: Array, finite: Bools, horizon: float, step: float, half: float, out: Array
 ) -> None:
-    """Fill out (n, 6): ttc, closest distance, its time, braking, in corridor (0 or 1), closing speed."""
-    m = mover
-    r = Mover(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8])
+    """Fill out[:, :6]: ttc, closest distance, its time, braking, in corridor (0 or 1), closing speed."""
+    r = from_row(Mover, mover)
     for i in range(len(bodies)):
         if not finite[i]:
             continue
-        k = bodies[i]
-        b = Body(k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], k[8], k[9])
+        b = from_row(Body, bodies[i])
         now = gap_at(b, r, 0.0)
         ttc = first_contact(b, r, horizon, TICK)
         distance, when = (0.0, ttc) if ttc < np.inf else closest(b, r, horizon, step)
@@ -117,3 +122,13 @@ def _assess(
         out[i, 3] = required_deceleration(b, r, ttc, horizon)
         out[i, 4] = 1.0 if enters_corridor(b, r, half, horizon, step) else 0.0
         out[i, 5] = closing
+
+
+@compiled
+def _between(bodies: Array, mover: Array, rows: Ints, bound: Array, horizon: float, out: Array) -> None:
+    """Fill out[rows, 6:8]: earliest and latest time to collision."""
+    r = from_row(Mover, mover)
+    for i in rows:
+        b = from_row(Body, bodies[i])
+        e = apart(b, bound[i, 0], bound[i, 1])
+        out[i, 6], out[i, 7] = earliest(b, r, horizon, e), latest(b, r, horizon, e)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from outrider import associate, births, body, moving, observers, predictor
+from outrider import associate, births, body, envelope, moving, observers, predictor
 from outrider.book import Book, TrackMemory, empty
 from outrider.geometry import wrap
 from outrider.records import Array, Detections, Ints, Kind, Scan, Tracks, TrackState
@@ -44,7 +44,11 @@ class Engine:
             cov[rows[sure]] = half[sure][:, [0, 1, 1, 2]].reshape(-1, 2, 2)
         _, _, *told = motion.T
         columns: dict[str, Any] = dict(zip(names, told, strict=True))
-        return replace(tracks, W_p=motion[:, :2], cov=cov, **columns)
+        after = replace(tracks, W_p=motion[:, :2], cov=cov, **columns)
+        if not np.isfinite(tracks.bound).any():
+            return after
+        shifts = [np.hypot(*(after.W_p - tracks.W_p).T), np.hypot(*(after.W_v - tracks.W_v).T)]
+        return replace(after, bound=tracks.bound + np.column_stack(shifts))
 
 
 def engine(settings: Settings) -> Engine:
@@ -81,6 +85,7 @@ def update(
     moving.judge(book, rows, scan, memory.earlier, settings)
     moving.straighten(book, rows, scan, settings)
     _observe(book, rows, previous, eng)
+    _bound(book, rows, settings)
     book = book.keep(births.alive(book, scan.t, settings))
     born = births.births(scan, segments, detections, owner, book, settings, eng.n_states)
     born.id[:] = memory.next_id + np.arange(len(born))
@@ -279,6 +284,13 @@ def _start(book: Book, fresh: Ints, velocity: Array, early: bool, eng: Engine) -
     book.observed[fresh] = True
 
 
+def _bound(book: Book, rows: Ints, settings: Settings) -> None:
+    """Take what was measured of `rows` into what bounds them, where that is asked for."""
+    assumed = envelope.limits(settings.envelope)
+    if assumed:
+        book.broken[:] = envelope.look(book.looks, rows, book.seen, book.z[:, :2], assumed)
+
+
 def estimate(book: Book, t: float, settings: Settings, eng: Engine) -> Tracks:
     """All tracks at time t: the observer's motion where one runs, else the predictor's place at rest."""
     _, P = predictor.predict(
@@ -300,9 +312,15 @@ def estimate(book: Book, t: float, settings: Settings, eng: Engine) -> Tracks:
         cov=P[:, :2, :2],
         hits=book.hits,
         age=t - book.born,
+        bound=np.full((len(book), 2), np.inf),
+        broken=book.broken,
     )
     running = np.flatnonzero(book.observed & np.isin(book.state, MOVING))
-    return eng.tell(resting, book.obs, t - book.seen, running)
+    tracks = eng.tell(resting, book.obs, t - book.seen, running)
+    assumed = envelope.limits(settings.envelope)
+    if not assumed:
+        return tracks
+    return replace(tracks, bound=envelope.bounds(book.looks, t, tracks.W_p, tracks.W_v, assumed))
 
 
 def _report(

@@ -18,7 +18,7 @@ from mcap.writer import Writer
 from zstandard import ZstdError
 
 from outrider.io._foxglove import log, nanoseconds, points, scene, transforms
-from outrider.io._run_rows import alert_row, track_columns
+from outrider.io._run_rows import alert_row, tracks_columns
 from outrider.io._run_tables import SCHEMAS
 from outrider.records import Frame, Level
 from outrider.settings import Settings
@@ -52,7 +52,7 @@ ALERT_SCHEMA: dict[str, Any] = {
 
 def track_rows(frame: Frame) -> dict[str, Any]:
     """The tracks as plain values, for plots against time."""
-    columns = {**track_columns(frame.tracks), "ttc": frame.threats.ttc}
+    columns = tracks_columns(frame)
     del columns["t"]
     values = zip(*(c.tolist() for c in columns.values()), strict=True)
     return {"t": float(frame.t), "tracks": [dict(zip(columns, row, strict=True)) for row in values]}

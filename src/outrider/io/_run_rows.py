@@ -38,11 +38,18 @@ def _resized(tracks: Tracks, s: float) -> Tracks:
         acceleration=tracks.acceleration * s,
         extent=tracks.extent * s,
         cov=tracks.cov * s**2,
+        bound=tracks.bound * s,
     )
 
 
+def tracks_columns(frame: Frame) -> dict[str, Any]:
+    """The rows of TRACKS that one frame gives: a column (n,) each."""
+    times = {name: getattr(frame.threats, name) for name in ("ttc", "ttc_earliest", "ttc_latest")}
+    return {**track_columns(frame.tracks), **times}
+
+
 def track_columns(tracks: Tracks) -> dict[str, Any]:
-    """The rows of LAGGED that some tracks give, and those of TRACKS but for `ttc`: a column (n,) each."""
+    """The rows of LAGGED that some tracks give, and those of TRACKS but for times to collision, (n,) each."""
     (x, y), (vx, vy), (length, width) = tracks.W_p.T, tracks.W_v.T, tracks.extent.T
     columns = {"t": np.full(len(x), tracks.t), "track_id": tracks.id, "x": x, "y": y, "vx": vx, "vy": vy}
     for name in ("speed", "acceleration", "course", "yaw", "slip", "yaw_rate", "hits"):
@@ -51,6 +58,9 @@ def track_columns(tracks: Tracks) -> dict[str, Any]:
         **columns,
         "length": length,
         "width": width,
+        "bound_position": tracks.bound[:, 0],
+        "bound_speed": tracks.bound[:, 1],
+        "bound_course": tracks.course_bound,
         "state": STATES[tracks.state],
     }
 

@@ -35,9 +35,10 @@ def _schema(names: str) -> pa.Schema:
 
 
 _MOTION = "t track_id x y vx vy speed acceleration course yaw slip yaw_rate length width state hits"
+_BOUND = "bound_position bound_speed bound_course"
 SCHEMAS = {
-    "tracks": _schema(f"{_MOTION} ttc"),
-    "lagged": _schema(_MOTION),
+    "tracks": _schema(f"{_MOTION} ttc {_BOUND} ttc_earliest ttc_latest"),
+    "lagged": _schema(f"{_MOTION} {_BOUND}"),
     "scans": _schema(
         "t ego_x ego_y ego_vx ego_vy ego_yaw ego_yaw_rate ego_known beams valid detections tracks level"
     ),

@@ -21,7 +21,7 @@ from outrider import __version__
 from outrider.errors import InputError, OutputError
 from outrider.io._folder import prepare, writing
 from outrider.io._run_background import Background, load_background
-from outrider.io._run_rows import alert_row, in_recording_lengths, scan_columns, track_columns
+from outrider.io._run_rows import alert_row, in_recording_lengths, scan_columns, track_columns, tracks_columns
 from outrider.records import Array, Frame, Level, TrackState
 from outrider.settings import Settings, dump, load
 
@@ -119,7 +119,7 @@ class RunWriter:
         """Adds one frame, lengths of the full-size world; OutputError where it cannot be written."""
         frame = in_recording_lengths(frame, self._scale)
         with writing(self.folder):
-            self._tables["tracks"].add({**track_columns(frame.tracks), "ttc": frame.threats.ttc})
+            self._tables["tracks"].add(tracks_columns(frame))
             self._tables["scans"].add(scan_columns(frame))
             if frame.lagged is not None and "lagged" in self._tables:
                 self._tables["lagged"].add(track_columns(frame.lagged))
