@@ -144,13 +144,21 @@ def position(P: Any, Y: Any, mu: Any) -> Any:
 
 
 def orientation(
-    P: Any, Y: Any, multipliers: Any, mu: Any, V: float, l: float = 2.0, tight: bool = True
+    P: Any,
+    Y: Any,
+    multipliers: Any,
+    mu: Any,
+    V: float,
+    l: float = 2.0,
+    tight: bool = True,
+    rate: float = 0.0,
 ) -> Any:
     """[MS 58] put right, eps_3 = 1: errors of yaw and slip against d_z and the speed error; l is l_r [m].
 
     Signals z = (yaw, slip), f = sin(slip) error, v = speed error times sin(slip) / l_r, d_z. Multipliers
     (2,) >= 0: of both conditions on f in [MS 44-45]; tight: the first alone, of the sector cos(20 deg) to 1.
-    v counts 36 times, as printed for sin(20 deg) / l_r, which is 0.171, about 1/6.
+    rate: the errors also decay so fast [1/s]; not in the paper. v counts 36 times as in the paper, where
+    sin(20 deg) / l_r = 0.171 is taken for 1/6.
     """
     z, f, v, d = parts(2, 1, 1, 1)
     G, H, b = np.eye(2, 1), np.ones((1, 2)), np.array([[0.0, 1.0]]) @ z
@@ -162,7 +170,7 @@ def orientation(
         second = f.T @ f + b.T @ b - 0.94 * both(f.T @ b)
         slope = multipliers[0] * first - multipliers[1] * second
     goal = mu * (36.0 * v.T @ v + d.T @ d) - z.T @ z
-    return both(z.T @ to) - slope - goal
+    return both(z.T @ to) + 2.0 * rate * (z.T @ P @ z) - slope - goal
 
 
 def high_gain(P: Any, Y: Any, slack: float) -> Any:

@@ -9,6 +9,7 @@ from outrider.cli import quantities, show
 from outrider.errors import InputError, NotCertified
 
 Text = str | None
+LEAST = {"high_gain": 3, "multi_stage": 4, "constant_velocity": 4}  # gains that belong together
 
 
 def certify(
@@ -23,6 +24,7 @@ def certify(
     slip: Text = None,
     mismatch: Text = None,
     rate: Text = None,
+    position: Text = None,
     form: Literal["continuous", "sampled"] | None = None,
     map_: Annotated[bool, Parameter("--map", negative=())] = False,
     output: Annotated[Path | None, Parameter(["--output", "-o"])] = None,
@@ -34,13 +36,14 @@ def certify(
     ----------
     what
         A file of `outrider design`, or the name of an observer: then the proofs that come with the package,
-        or, with any option below, a search for a proof (needs pip install 'outrider[design]').
+        or, with any option below, a search for a proof (needs pip install 'outrider[design]'). envelope: the
+        bounds at run time, for --position and --accel.
     gain
         The observer's first gains, with commas, such as 67.20,823.1,2818.5; else its default ones.
     speed
         True speeds as LOW:HIGH [m/s]; for high_gain the lower one counts.
     accel
-        high_gain: largest acceleration along the course [m/s2].
+        high_gain: largest acceleration along the course; envelope: in any direction [m/s2].
     yaw_rate
         Largest course rate (high_gain), or rate at which the frame turns (constant_velocity) [rad/s].
     window
@@ -51,10 +54,12 @@ def certify(
         multi_stage: share by which the estimated speed may be wrong [-].
     rate
         Decay to prove [1/s]; sampled form: factor of a step.
+    position
+        envelope: largest error of a measured position [m].
     form
         Of the observer: continuous or sampled; each has those that it has a claim for.
     map_
-        high_gain: draw how far the published gain, ours, and one given are proven, over speed and acceleration.
+        high_gain: draw how far the published gain, ours and a given one are proven; needs outrider[design].
     output
         File for the gains and the proof that was found, or for the map.
     """
@@ -69,7 +74,9 @@ def certify(
     region = {name: value for name, value in asked.items() if value is not None}
     gains = quantities.listed(gain, "--gain") if gain else []
     decay = quantities.number(rate, "--rate") if rate else None
-    if map_:
+    if what == "envelope":
+        _envelope(position or "0.1", accel or "8", json)
+    elif map_:
         _draw(what, gains, decay or 0.0, output or Path("region-map.png"))
     elif gains or region or decay is not None or form:
         _show([_search(what, gains, form, decay, region, output)], json)
@@ -111,8 +118,10 @@ def _search(
     if what == "high_gain" and "speed" in region:
         region["speed"] = region["speed"][0]
     gains = observer.Gains()
-    if len(gain) > len(gains):
-        raise InputError(f"{len(gain)} gains; {what} has {len(gains)}: {', '.join(gains._fields)}")
+    least = LEAST.get(what, 1) if gain else 0
+    if not least <= len(gain) <= len(gains):
+        names = ", ".join(gains._fields)
+        raise InputError(f"--gain has {len(gain)} numbers; want {least} to {len(gains)}, for {names}")
     gains = gains._replace(**dict(zip(gains._fields, gain, strict=False)))
     if rate is None:
         rate = 0.0 if form == "continuous" else 1.0
@@ -120,6 +129,20 @@ def _search(
     if output and made.file:
         proof_file.write(made.file, output)
     return f"{what}, proof searched", made.file, made.certificate
+
+
+def _envelope(position: str, accel: str, json: bool) -> None:
+    """Report of the bounds at run time."""
+    from outrider import envelope
+
+    made = quantities.number(position, "--position"), quantities.number(accel, "--accel")
+    proof = envelope.certificate(*made)
+    if json:
+        show.json(
+            {"proven": proof.proven(), "margin": proof.margin(), "bounds": [b.gain for b in proof.bounds]}
+        )
+    else:
+        print(proof)
 
 
 def _show(found: list[tuple[str, Any, Any]], json: bool) -> None:
@@ -148,6 +171,6 @@ def _draw(what: str, gain: list[float], rate: float, path: Path) -> None:
     gains = region.shipped()
     if gain:
         gains["given"] = gain
-    made = region.map(gains, np.linspace(0.0, 20.0, 201), np.linspace(0.0, 6.0, 121), rate)
+    made = region.map(gains, np.linspace(0.0, 10.0, 251), np.linspace(0.0, 6.0, 151), rate)
     plots_design.save(made, path)
     print(f"written to {path}")

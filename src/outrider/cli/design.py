@@ -10,39 +10,73 @@ from outrider.cli import quantities, show
 from outrider.errors import InputError
 
 Text = str | None
-# By observer: the options it has, the argument each becomes, and how it is read.
-OPTIONS: dict[str, dict[str, tuple[str, Callable[[str, str], Any]]]] = {
+Read = Callable[[str, str], Any]
+
+
+def _low(text: str, what: str) -> float:
+    return quantities.span(text, what)[0]
+
+
+def _sector(text: str, what: str) -> bool:
+    if text not in ("tight", "printed"):
+        raise InputError(f"{what} {text!r}; want tight or printed")
+    return text == "tight"
+
+
+N, SPAN, PAIR = quantities.number, quantities.span, quantities.pair
+LIMITS: dict[str, tuple[str, Read]] = {
+    "rate": ("rate", N),
+    "fastest": ("fastest", N),
+    "gain_bound": ("gain_bound", N),
+}
+BODY: dict[str, tuple[str, Read]] = {
+    "rear_axle": ("l_r", N),
+    "slip": ("slip", N),
+    "mismatch": ("mismatch", N),
+}
+# By observer, or stage of multi_stage: its options, the argument each becomes, and how it is read.
+OPTIONS: dict[str, dict[str, tuple[str, Read]]] = {
     "multi_stage": {
-        "speed": ("speed", quantities.span),
-        "rear_axle": ("rear_axle", quantities.number),
-        "slip": ("slip", quantities.number),
-        "mismatch": ("mismatch", quantities.number),
-        "rate": ("rate", quantities.number),
-        "fastest": ("fastest", quantities.number),
-        "turn_rate": ("turn_rate", quantities.pair),
-        "turn_fastest": ("turn_fastest", quantities.pair),
-        "position_rate": ("position_rate", quantities.number),
-        "position_fastest": ("position_fastest", quantities.number),
-        "gain_bound": ("gain_bound", quantities.number),
+        **BODY,
+        **LIMITS,
+        "speed": ("speed", SPAN),
+        "rear_axle": ("rear_axle", N),
+        "turn_rate": ("turn_rate", PAIR),
+        "turn_fastest": ("turn_fastest", PAIR),
+        "position_rate": ("position_rate", N),
+        "position_fastest": ("position_fastest", N),
     },
     "high_gain": {
-        "speed": ("speed", lambda text, what: quantities.span(text, what)[0]),
-        "accel": ("acceleration", quantities.number),
-        "yaw_rate": ("yaw_rate", quantities.number),
-        "rate": ("rate", quantities.number),
-        "fastest": ("fastest", quantities.number),
-        "gain_bound": ("gain_bound", quantities.number),
+        **LIMITS,
+        "speed": ("speed", _low),
+        "accel": ("acceleration", N),
+        "yaw_rate": ("yaw_rate", N),
+        "lipschitz": ("lipschitz", N),
+        "theta": ("theta", N),
     },
     "constant_velocity": {
-        "speed": ("speeds", quantities.span),
-        "window": ("window", quantities.number),
-        "yaw_rate": ("yaw_rate", quantities.number),
-        "rear_axle": ("rear_axle", quantities.number),
-        "slip": ("slip", quantities.number),
-        "rate": ("rate", quantities.number),
-        "fastest": ("fastest", quantities.number),
-        "gain_bound": ("gain_bound", quantities.number),
+        **LIMITS,
+        "speed": ("speeds", SPAN),
+        "window": ("window", N),
+        "yaw_rate": ("yaw_rate", N),
+        "rear_axle": ("rear_axle", N),
+        "slip": ("slip", N),
     },
+    "speed": LIMITS,
+    "table": {
+        **BODY,
+        "speed": ("speeds", SPAN),
+        "turn_rate": ("rate", PAIR),
+        "turn_fastest": ("fastest", PAIR),
+    },
+    "orientation": {
+        "speed": ("speed", _low),
+        "rear_axle": ("l_r", N),
+        "sector": ("tight", _sector),
+        "rate": ("rate", N),
+        "fastest": ("fastest", N),
+    },
+    "position": LIMITS,
 }
 
 
@@ -64,6 +98,9 @@ def design(
     position_rate: Text = None,
     position_fastest: Text = None,
     gain_bound: Text = None,
+    lipschitz: Text = None,
+    theta: Text = None,
+    sector: Text = None,
     output: Annotated[Path | None, Parameter(["--output", "-o"])] = None,
     json: show.Json = False,
 ) -> None:
@@ -72,7 +109,9 @@ def design(
     Parameters
     ----------
     observer
-        multi_stage, high_gain or constant_velocity. Needs pip install 'outrider[design]'.
+        multi_stage, high_gain or constant_velocity; or one stage of multi_stage alone, to look at: speed,
+        table (a gain for each of 21 speeds), orientation (at one speed, as the paper does it), position.
+        Needs pip install 'outrider[design]'.
     speed
         True speeds as LOW:HIGH [m/s]; for high_gain the lower one counts.
     accel
@@ -101,6 +140,12 @@ def design(
         multi_stage: its poles [1/s].
     gain_bound
         No gain has a larger norm, in SI units, stage by stage.
+    lipschitz
+        high_gain: by theta, for this Lipschitz constant k_f of the model (eq. 76-78 of the paper).
+    theta
+        high_gain: theta itself; else 1.01 times the least one that k_f allows.
+    sector
+        orientation: tight, or printed for both conditions of the paper.
     output
         File for the gains and their proof, for `outrider certify` and `outrider track --gains`.
     """
@@ -115,23 +160,59 @@ def design(
             raise InputError(f"{option} says nothing to {observer}; it has {known}")
         argument, read = OPTIONS[observer][name]
         arguments[argument] = read(text, option)
-    if observer == "constant_velocity":
-        arguments.setdefault("speeds", (10.0, 10.0))
-    from outrider import design, observers, proof_file
+    made = _made(observer, arguments)
+    from outrider import proof_file
 
-    made = getattr(design, observer)(**arguments)
     if output:
+        if made.file is None:
+            raise InputError(f"{observer} is one stage of multi_stage, no observer; -o wants a whole one")
         proof_file.write(made.file, output)
     if json:
-        show.json(proof_file.described(made.file, made.certificate))
+        show.json(_described(made))
         return
-    defaults = observers.get(observer).Gains()._asdict()
-    for name, value in made.file.gains.items():
-        if value != defaults[name]:
-            print(f"{name:>8} = {value:.6g}")
+    _print(made)
+    if output:
+        print(f"written to {output}")
+
+
+def _made(observer: str, arguments: dict[str, Any]) -> Any:
+    from outrider import design
+    from outrider.observers import multi_stage
+
+    if observer == "constant_velocity":
+        arguments.setdefault("speeds", (10.0, 10.0))
+    if observer == "table":
+        low, high = arguments.pop("speeds", (1.0, 20.0))
+        arguments["speeds"] = [v for v in multi_stage.NOMINAL if low <= v <= high]
+    if observer == "high_gain" and ("lipschitz" in arguments or "theta" in arguments):
+        by = {n: arguments.pop(n) for n in ("lipschitz", "theta", "gain_bound") if n in arguments}
+        found = design.by_theta(**by)
+        print(f"K = {found.K}, theta = {found.theta:.5g}, least {found.least:.5g}")
+        arguments = {"rate": 0.0, **arguments, "gain": found.gain}
+    return getattr(design, observer)(**arguments)
+
+
+def _described(made: Any) -> dict[str, Any]:
+    from outrider import proof_file
+
+    if made.file is not None:
+        return proof_file.described(made.file, made.certificate)
+    proof = made.certificate
+    return {"gain": made.gain, "proven": proof.proven(), "margin": proof.margin(), "rate": proof.rate}
+
+
+def _print(made: Any) -> None:
+    """Gains that are not the observer's defaults, what the solver said, and the report."""
+    from outrider import observers
+
+    if made.file is None:
+        print(f"gain {made.gain}")
+    else:
+        defaults = observers.get(made.file.observer).Gains()._asdict()
+        for name, value in made.file.gains.items():
+            if value != defaults[name]:
+                print(f"{name:>8} = {value:.6g}")
     said = made.solved
     print(
         f"{said.solver} said {said.status} in {said.seconds:.2f} s; checked with NumPy:\n{made.certificate}"
     )
-    if output:
-        print(f"written to {output}")

@@ -20,6 +20,7 @@ def track(
     set_: Annotated[list[str] | None, Parameter("--set", negative=())] = None,
     scale: float | None = None,
     observer: str | None = None,
+    gains: Path | None = None,
     scan_topic: str | None = None,
     ego_topic: str | None = None,
     truth_topic: Annotated[list[str] | None, Parameter(negative=())] = None,
@@ -43,6 +44,8 @@ def track(
         Full-size length / length in the recording (recording.scale).
     observer
         Name of the observer (observer.name; see `outrider ls observers`).
+    gains
+        File of `outrider design`: its observer with its gains, once their proof is checked.
     scan_topic
         Topic of the laser scans, where there are several.
     ego_topic
@@ -62,7 +65,8 @@ def track(
         "recording.ego_topic": ego_topic,
         "recording.truth_topics": truth_topic,
     }
-    opened = offline.open_source(recording, settings, [*(set_ or []), *_assignments(named)])
+    designed = _designed(gains, observer) if gains else []
+    opened = offline.open_source(recording, settings, [*(set_ or []), *designed, *_assignments(named)])
     counts = {topic.name: topic.count for topic in opened.recording.topics}
     with (
         compiling_beside(opened.settings.observer.name),
@@ -73,6 +77,22 @@ def track(
         show.json({**run.summary, "folder": run.folder})
     else:
         show.table(_rows(run))
+
+
+def _designed(path: Path, observer: str | None) -> list[str]:
+    """The observer and gains of a file as `section.key=value`; NotCertified where they are not proven."""
+    from outrider import proof_file
+    from outrider.errors import InputError, NotCertified
+    from outrider.observers._shipped import certificate_of
+
+    file = proof_file.read(path)
+    proof = certificate_of(file)
+    if not proof.proven():
+        raise NotCertified(f"{path}: {proof.failing()}; make it anew with outrider design")
+    if observer not in (None, file.observer):
+        raise InputError(f"{path} holds gains of {file.observer}; got --observer {observer}; leave one out")
+    made = [f"observer.gains.{file.observer}.{name}={value!r}" for name, value in file.gains.items()]
+    return [f'observer.name="{file.observer}"', *made]
 
 
 def _assignments(named: dict[str, Any]) -> list[str]:
@@ -98,6 +118,11 @@ def _rows(run: "Run") -> list[tuple[str, str]]:
         ("alerts", show.listed(s["alerts"])),
         ("time at level", show.listed({f"s {level}": seconds for level, seconds in at.items()})),
         ("degraded", f"{s['degraded_scans']} scans"),
+        *(
+            [("bounds", f"did not hold {s['broken_bounds']} times")]
+            if run.settings.envelope.position_m
+            else []
+        ),
         ("beams masked", show.listed(report["masked"])),
         ("scans skipped", show.listed(report["skipped"])),
         ("faults", show.listed(report["faults"])),

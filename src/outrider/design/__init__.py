@@ -8,6 +8,7 @@ from outrider.design._solve import Design, Problem, Solved
 from outrider.design.bounds import bound, smallest
 from outrider.design.observers import certify, constant_velocity, high_gain, multi_stage
 from outrider.design.prove import prove
+from outrider.design.published import Theta, by_theta, orientation
 from outrider.design.stages import certify_schedule, certify_speed, line, position, speed, table
 from outrider.design.synthesis import Entry, Weights, synthesise
 
@@ -16,8 +17,10 @@ __all__ = [
     "Entry",
     "Problem",
     "Solved",
+    "Theta",
     "Weights",
     "bound",
+    "by_theta",
     "certify",
     "certify_schedule",
     "certify_speed",
@@ -25,6 +28,7 @@ __all__ = [
     "high_gain",
     "line",
     "multi_stage",
+    "orientation",
     "position",
     "prove",
     "smallest",

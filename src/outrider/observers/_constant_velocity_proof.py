@@ -56,6 +56,8 @@ def family(gains: Any, dt: float, window: float, turn: float) -> tuple[Array, Ar
 
 def claim(gains: Any, form: Form = "sampled", **asked: Any) -> Claim:
     """Claim for `constant_velocity.Gains`; `asked`: arguments of `_continuous` or `_sampled`."""
+    if form not in ("continuous", "sampled"):
+        raise InputError(f"constant_velocity has no proof in {form!r} form; want continuous or sampled")
     return _continuous(gains, **asked) if form == "continuous" else _sampled(gains, **asked)
 
 

@@ -31,6 +31,8 @@ SPEED = 10.0  # at which the Jacobian is taken [m/s]
 
 def claim(gains: Any, form: Form = "sampled", **asked: Any) -> Claim:
     """Claim for `high_gain.Gains` in either form; `asked`: the arguments of `_continuous` or `_sampled`."""
+    if form not in ("continuous", "sampled"):
+        raise InputError(f"high_gain has no proof in {form!r} form; want continuous or sampled")
     return _continuous(gains, **asked) if form == "continuous" else _sampled(gains, **asked)
 
 

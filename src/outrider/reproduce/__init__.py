@@ -1,0 +1,1 @@
+"""The results of the two papers beside ours: one file a part, one page for all."""
