@@ -223,29 +223,31 @@ def peak(A: Array, B: Array, C: Array, form: Form) -> float:
         return np.inf
     length = 40.0 / -np.log(max(slow, 1e-12))  # until exp(-40) is left [s, steps]
     if form == "sampled":
-        x, total = B[:, 0], 0.0
-        for _ in range(int(length) + len(A) + 1):
-            total, x = total + abs(float(C[0] @ x)), A @ x
-        return total
+        return float(np.abs(C[0] @ _powers(A, B[:, 0], int(length) + len(A) + 1)).sum())
     return _variation(A, B[:, 0], C[0], length, 1.0 / max(float(np.abs(poles).max()), 1e-12))
+
+
+def _powers(A: Array, b: Array, count: int) -> Array:
+    """b, A b, A^2 b ... (n, at least count), by doubling."""
+    columns = b[:, None]
+    while columns.shape[1] < count:
+        columns, A = np.hstack([columns, A @ columns]), A @ A
+    return columns
 
 
 def _variation(A: Array, b: Array, c: Array, length: float, fast: float) -> float:
     """Integral of |c exp(A t) b| over [0, length]: sum of the step response's ups and downs."""
     h = 0.05 * fast
-    halves = [_exponential(A * h * 0.5**i) for i in range(1, 40)]
-    step, to_step = _exponential(A * h), np.linalg.solve(A.T, c)  # step response: to_step (exp(A t) b - b)
-    x, turns = b, [float(to_step @ b)]
-    for _ in range(min(int(length / h) + 1, 1_000_000)):
-        after = step @ x
-        if (c @ x) * (c @ after) < 0.0:
-            y = x
-            for half in halves:
-                middle = half @ y
-                y = middle if (c @ middle) * (c @ y) > 0.0 else y
-            turns.append(float(to_step @ y))
-        x = after
-    return float(np.abs(np.diff([*turns, float(to_step @ x)])).sum())
+    x = _powers(_exponential(A * h), b, min(int(length / h) + 2, 1 << 20))
+    to_step = np.linalg.solve(A.T, c)  # step response: to_step (exp(A t) b - b)
+    impulse = c @ x
+    turning = np.flatnonzero(impulse[:-1] * impulse[1:] < 0.0)
+    y, until = x[:, turning], impulse[turning + 1]  # where it turns, by halving
+    for i in range(1, 40):
+        middle = _exponential(A * h * 0.5**i) @ y
+        y = np.where((c @ middle) * until > 0.0, y, middle)
+    turns = np.r_[to_step @ b, to_step @ y, to_step @ x[:, -1]]
+    return float(np.abs(np.diff(turns)).sum())
 
 
 def _exponential(M: Array) -> Array:

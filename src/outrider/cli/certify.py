@@ -151,12 +151,15 @@ def _show(found: list[tuple[str, Any, Any]], json: bool) -> None:
 
     if json:
         show.json([{"name": label, **proof_file.described(file, proof)} for label, file, proof in found])
-    else:
-        for label, _, proof in found:
-            print(f"{label}\n{proof}\n")
+    failing = []
     for label, _, proof in found:
-        if not proof.proven():
-            raise NotCertified(f"{label}: {proof.failing()}")
+        report = str(proof)
+        if not json:
+            print(f"{label}\n{report}\n")
+        if "NOT PROVEN" in report:
+            failing.append(f"{label}: {proof.failing()}")
+    if failing:
+        raise NotCertified("; ".join(failing))
 
 
 def _draw(what: str, gain: list[float], rate: float, path: Path) -> None:
