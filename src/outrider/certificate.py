@@ -60,14 +60,14 @@ class Bound:
 
     def margin(self, form: Form) -> float:
         """Smallest slack of its inequalities, relative; inf: exact and holds; -inf: nothing is proven."""
-        if self.A is None or self.B is None or self.C is None or not self.gain > 0.0:
+        if self.A is None or self.B is None or self.C is None or not self.gain >= 0.0:
             return -np.inf
         if self.exact:
             if self.kind != "peak" or len(self.A) != 1:
                 return -np.inf
             reached = peak(self.A[0], self.B[0], self.C, form)
             return np.inf if self.gain >= reached * (1.0 - 1e-6) else self.gain / reached - 1.0
-        if self.P is None:
+        if self.P is None or not self.gain > 0.0:
             return -np.inf
         P, g2 = self.P, self.gain**2
         slack = [relative(-P, _size(P))]

@@ -18,6 +18,9 @@ from outrider.errors import InputError, NotCertified
 from outrider.family import Family
 from outrider.inequalities import Form
 
+CONTINUOUS = "The observer runs in continuous time; between two samples the measurement is on their line."
+ON_THE_LINE = "Every state on the line between estimate and truth is within the region."
+WITHOUT_HOLD = "Every sample is used: nothing is missing, held or limited."
 Array = npt.NDArray[np.float64]
 Blocks = Sequence[Sequence[Sequence[int]]]
 

@@ -1,5 +1,6 @@
 """`outrider design`: gains of an observer from matrix inequalities, with their proof, as a file."""
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
@@ -187,7 +188,9 @@ def _made(observer: str, arguments: dict[str, Any]) -> Any:
     if observer == "high_gain" and ("lipschitz" in arguments or "theta" in arguments):
         by = {n: arguments.pop(n) for n in ("lipschitz", "theta", "gain_bound") if n in arguments}
         found = design.by_theta(**by)
-        print(f"K = {found.K}, theta = {found.theta:.5g}, least {found.least:.5g}")
+        print(
+            f"K = {found.K}, theta = {found.theta:.5g}, at least {found.least:.5g} by eq. 77", file=sys.stderr
+        )
         arguments = {"rate": 0.0, **arguments, "gain": found.gain}
     return getattr(design, observer)(**arguments)
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from outrider import family
 from outrider.certificate import Certificate
-from outrider.claim import Claim, Sought
+from outrider.claim import CONTINUOUS, WITHOUT_HOLD, Claim, Sought
 from outrider.design._solve import Design, Solved
 from outrider.design.prove import prove
 from outrider.design.synthesis import Entry, Weights, rounded, synthesise
@@ -20,8 +20,7 @@ from outrider.inequalities import SLIP
 Array = npt.NDArray[np.float64]
 Pair = tuple[float, float]
 
-CONTINUOUS = "The observer runs in continuous time; between two samples the measurement is on their line."
-ORIENTATION = Weights(np.ones((1, 2)), np.eye(2), np.eye(2, 1), 36.0)  # [MS 58]: sin(20 deg) / l_r < 1/6
+ORIENTATION = Weights(np.ones((1, 2)), np.eye(2), np.eye(2, 1), 36.0)  # 36: as in [MS 58]
 
 
 def speed(rate: float = 0.4, fastest: float = 5.0, gain_bound: float | None = None) -> Design:
@@ -136,7 +135,7 @@ def certify_schedule(
             "The true speed is as near to what chooses the gain as the points say.",
             f"The slip is constant, within {np.degrees(slip):g} degrees; its changes act like a disturbance.",
             CONTINUOUS,
-            "Every sample is used: nothing is missing, held or limited.",
+            WITHOUT_HOLD,
         ),
         {},
     )

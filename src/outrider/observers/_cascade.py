@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from outrider import family
-from outrider.claim import Claim, Sought
+from outrider.claim import WITHOUT_HOLD, Claim, Sought
 from outrider.errors import InputError
 from outrider.family import Line, Point, Table
 from outrider.inequalities import SLIP, Form, chain
@@ -56,7 +56,7 @@ def claim(
             f"Jerk and slip are constant, the slip within {np.degrees(slip):g} degrees.",
             "What jerk and slip change acts like a disturbance.",
             "The measurement runs along the line between two samples; the equations are integrated exactly.",
-            "Every sample is used: none is missing, held or limited.",
+            WITHOUT_HOLD,
         ),
         {"speed": speed, "slip": slip, "mismatch": mismatch},
         BLOCKS,
@@ -96,6 +96,7 @@ def _sought(L_s: list[float], points: list[Point], gains: Any, slip: float) -> t
     return (
         Sought("speed", "path", A, -L[None], one[1:2]),
         Sought("acceleration", "path", A, -L[None], one[2:3]),
+        Sought("(speed, acceleration)", "path", A, -L[None], one[1:3], "energy"),
         Sought("course", "measured course", orientation, turned, np.ones((1, 2))),
         Sought("position", "position", -w, -w, one_one),
         Sought("position", "speed", -w, one_one[None], one_one),

@@ -20,7 +20,7 @@ import numpy as np
 
 from outrider import family as polytopes
 from outrider.certificate import Array
-from outrider.claim import Claim, Sought
+from outrider.claim import CONTINUOUS, ON_THE_LINE, WITHOUT_HOLD, Claim, Sought
 from outrider.errors import InputError
 from outrider.family import Family
 from outrider.inequalities import SLIP, Form
@@ -96,9 +96,10 @@ def _continuous(
         (
             "The speed is given exactly.",
             f"The slip is constant, within {np.degrees(slip):g} degrees; its changes act like a disturbance.",
-            "Every state on the line between estimate and truth is within the region.",
-            "The observer runs in continuous time; between two samples the measurement is on their line.",
-            "Every sample is used: nothing is missing, held or limited.",
+            "Positions are the only output: heading = 0.",
+            ON_THE_LINE,
+            CONTINUOUS,
+            WITHOUT_HOLD,
         ),
         {"speed": speeds, "window": window, "yaw_rate": yaw_rate, "slip": slip},
         sought=(

@@ -16,7 +16,7 @@ import numpy as np
 
 from outrider import family
 from outrider.certificate import Array
-from outrider.claim import Claim, Sought
+from outrider.claim import CONTINUOUS, ON_THE_LINE, WITHOUT_HOLD, Claim, Sought
 from outrider.errors import InputError
 from outrider.family import Family
 from outrider.inequalities import Form, alike
@@ -56,9 +56,10 @@ def _continuous(gains: Any, speed: float = 5.0, acceleration: float = 3.0, yaw_r
             "course rate [rad/s]": (-yaw_rate, yaw_rate),
         },
         (
-            "Every state on the line between estimate and truth is within the region.",
-            "The observer runs in continuous time; between two samples the measurement is on their line.",
-            "Every sample is used: nothing is missing, held or limited.",
+            ON_THE_LINE,
+            CONTINUOUS,
+            WITHOUT_HOLD,
+            "Positions are the only output: turn = 0; the yaw, which follows the course, is not part of it.",
             "Jerk along the course and rate of the slip are disturbances.",
         ),
         {"speed": speed, "acceleration": acceleration, "yaw_rate": yaw_rate},
@@ -92,7 +93,7 @@ def _sampled(
         },
         (
             f"Checked on a grid of {POINTS} x {POINTS} states; between its points not proven.",
-            "Every state on the line between estimate and truth is within the region.",
+            ON_THE_LINE,
             "The speed is above `floor`; course rate, speed, acceleration and innovation are not limited.",
             "Positions are the only output: turn = 0; the yaw, which follows the course, is not part of it.",
             "Jerk along the course and rate of the slip are disturbances.",
