@@ -14,7 +14,10 @@ import pytest
 from outrider import cli, datasets, io, observers, simulate
 from outrider.io.run import open_run
 
-COMMANDS = ("demo", "track", "info", "convert", "simulate", "evaluate", "compare", "ls", "cite")
+COMMANDS = (
+    *("demo", "track", "info", "convert", "simulate", "evaluate", "compare"),
+    *("design", "certify", "reproduce", "ls", "cite"),
+)
 HEAD_ON = """
 title = "A car comes straight at a standing rider"
 duration_s = 4.0

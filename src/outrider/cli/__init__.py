@@ -7,11 +7,14 @@ from collections.abc import Sequence
 from cyclopts import App, CycloptsError
 
 from outrider import __version__
+from outrider.cli.certify import certify
 from outrider.cli.compare import compare
 from outrider.cli.demo import demo
+from outrider.cli.design import design
 from outrider.cli.evaluate import evaluate
 from outrider.cli.names import cite, ls
 from outrider.cli.recordings import convert, info, simulate
+from outrider.cli.reproduce import reproduce
 from outrider.cli.track import track
 from outrider.errors import OutriderError
 
@@ -23,7 +26,20 @@ app = App(
     version=__version__,
     suppress_keyboard_interrupt=False,
 )
-for _command in (demo, track, info, convert, simulate, evaluate, compare, ls, cite):
+for _command in (
+    demo,
+    track,
+    info,
+    convert,
+    simulate,
+    evaluate,
+    compare,
+    design,
+    certify,
+    reproduce,
+    ls,
+    cite,
+):
     app.command(_command)
 app.register_install_completion_command()
 
