@@ -16,7 +16,7 @@ from outrider.io.run import open_run
 
 COMMANDS = (
     *("demo", "track", "info", "convert", "simulate", "evaluate", "compare"),
-    *("design", "certify", "reproduce", "ls", "cite"),
+    *("design", "certify", "reproduce", "lateral", "ls", "cite"),
 )
 HEAD_ON = """
 title = "A car comes straight at a standing rider"
@@ -275,7 +275,7 @@ def test_evaluate_wants_a_run_folder(outrider, tmp_path):
     assert refused(outrider("evaluate", tmp_path), "settings.toml")
 
 
-@pytest.mark.parametrize("what", ["scenarios", "observers", "datasets", "formats"])
+@pytest.mark.parametrize("what", ["scenarios", "observers", "estimators", "cars", "datasets", "formats"])
 def test_ls(outrider, what):
     told = json.loads(outrider("ls", what, "--json")[1])
     assert list(told) == [what]
@@ -286,7 +286,7 @@ def test_ls(outrider, what):
 def test_cite(outrider):
     every = outrider("cite", *datasets.names())[1]
     entries = re.findall(r"^@(\w+)\{(\w+),$", every, flags=re.M)
-    assert len(entries) == len({key for _, key in entries}) == 8
+    assert len(entries) == len({key for _, key in entries}) == 9
     assert every.count("{") == every.count("}")
     assert len(outrider("cite")[1]) < len(every)
     assert refused(outrider("cite", "kiti"), "kitti0000")

@@ -81,6 +81,17 @@ def test_guaranteed_bounds():
     assert scans > 60
 
 
+def test_lateral_velocity():
+    """With cheap sensors the model at the right speed beats that of 10 m/s, and integration drifts."""
+    head, *rows, last = run("lateral_velocity", "b_class", "5").splitlines()
+    assert head.split() == ["estimator", "dry", "slippery"]
+    error = {name: (float(dry), float(slippery)) for name, dry, slippery in map(str.split, rows)}
+    itself = [float(word) for word in last.split()[2:4]]
+    for road in (0, 1):
+        assert error["scheduled"][road] < error["lq"][road] < itself[road] < error["integration"][road]
+        assert error["kalman"][road] < error["lq"][road]
+
+
 def test_the_settings_of_the_model_cars_are_those_of_the_data_set():
     given = settings.load(EXAMPLES / "model_car.toml")
     assert given == offline.settle(datasets.entry("datmo/overtakes").settings, None)

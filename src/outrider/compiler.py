@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, cast
 
 import numba
+import numpy as np
 from numba.core import cgutils
 from numba.core.imputils import lower_builtin
 from numba.extending import overload, register_jitable, type_callable
@@ -288,6 +289,49 @@ def lagged(smooth: Any, State: Any) -> Any:
                     m = k + lag - j
                     s = smooth(from_row(State, states[i, m - 1]), s, dt[i, m], gains)
                 to_row(s, out[i, k])
+
+    return run
+
+
+@lru_cache
+def log(start: Any, step: Any, output: Any, State: Any, Sample: Any, still: Any = None) -> Any:
+    """Compiled loop over a car's log: run(samples (n, k), car, design, least speed, longest gap, out, held).
+
+    A row is used where dt, vx, yaw rate and steering, columns 0, 1, 2 and 4, are finite, dt > 0 (but not in
+    the first row) and |vx| is at least the least speed [m/s]. Else the last estimate is held; what was held
+    for longer than the gap [s] starts anew. out (n, m): the output, NaN before the first row used; held (n,).
+    With `still`, which is as `step`, a row that is slower than that, but else as good, goes to the state.
+    """
+    width, learns = len(State._fields), still is not None
+    rest = still if learns else step
+
+    @partial(compiled, of=State)
+    def run(samples, car, design, least, gap, out, held):  # type: ignore[no-untyped-def]
+        started, since = False, 0.0
+        row, now = np.zeros(width), np.zeros(samples.shape[1])
+        for k in range(len(samples)):
+            dt = samples[k, 0]
+            whole = np.isfinite(samples[k, 1]) and np.isfinite(samples[k, 2]) and np.isfinite(samples[k, 4])
+            timed = np.isfinite(dt) and dt > 0.0
+            since = since + dt if timed else since
+            good = whole and (timed or not started)
+            used = good and abs(samples[k, 1]) >= least
+            held[k] = not used
+            if good and (used or learns):
+                now[:] = samples[k]
+                now[0] = since
+                y = from_row(Sample, now)
+                if not started or (used and since > gap):
+                    to_row(start(y, car, design), row)
+                elif used:
+                    to_row(step(from_row(State, row), y, car, design), row)
+                else:
+                    to_row(rest(from_row(State, row), y, car, design), row)
+                started, since = True, 0.0
+            if used:
+                to_row(output(from_row(State, row), y, car, design), out[k])
+            elif k > 0:
+                out[k] = out[k - 1]
 
     return run
 

@@ -12,6 +12,7 @@ from outrider.cli.compare import compare
 from outrider.cli.demo import demo
 from outrider.cli.design import design
 from outrider.cli.evaluate import evaluate
+from outrider.cli.lateral import lateral
 from outrider.cli.names import cite, ls
 from outrider.cli.recordings import convert, info, simulate
 from outrider.cli.reproduce import reproduce
@@ -22,7 +23,8 @@ STOPPED, CLOSED = 130, 141  # exit codes after Ctrl-C, and where the reader of a
 
 app = App(
     name="outrider",
-    help="Raw 2D lidar scans in; tracked vehicles, times to collision and warnings out.",
+    help="Raw 2D lidar scans in; tracked vehicles, times to collision and warnings out. "
+    "And a car's lateral velocity, from its own sensors.",
     version=__version__,
     suppress_keyboard_interrupt=False,
 )
@@ -37,6 +39,7 @@ for _command in (
     design,
     certify,
     reproduce,
+    lateral,
     ls,
     cite,
 ):

@@ -35,8 +35,9 @@ def certify(
     Parameters
     ----------
     what
-        A file of `outrider design`, or the name of an observer: then the proofs that come with the package,
-        or, with any option below, a search for a proof (needs pip install 'outrider[design]'). envelope: the
+        A file of `outrider design`, or the name of an observer, or of an estimator of lateral velocity
+        (scheduled): then the proofs that come with the package. For an observer with any option below: a
+        search for a proof (needs pip install 'outrider[design]'). envelope: the
         bounds at run time, for --position and --accel.
     gain
         The observer's first gains, with commas, such as 67.20,823.1,2818.5; else its default ones.
@@ -88,11 +89,13 @@ def certify(
 
 def _kept(what: str) -> list[tuple[str, Any, Any]]:
     """Label, file and certificate of a file, or of all that come with the package for an observer."""
-    from outrider import observers, proof_file
+    from outrider import lateral, observers, proof_file
     from outrider.observers._shipped import certificate_of
 
     if what.endswith(".json") or Path(what).exists():
         files = {what: proof_file.read(what)}
+    elif what in lateral.names() and what not in observers.names():
+        return _of_estimator(what)
     else:
         observers.get(what)  # its message for an unknown name
         files = {name: proof_file.shipped(name) for name in proof_file.shipped_names(what)}
@@ -100,6 +103,17 @@ def _kept(what: str) -> list[tuple[str, Any, Any]]:
             able = ", ".join(n for n in observers.names() if proof_file.shipped_names(n))
             raise NotCertified(f"{what}: no constant gain, so nothing is claimed; want one of {able}")
     return [(label, file, certificate_of(file)) for label, file in files.items()]
+
+
+def _of_estimator(name: str) -> list[tuple[str, Any, Any]]:
+    """The same for an estimator of lateral velocity: a proof for each car that it comes with."""
+    from outrider import lateral, proof_file
+
+    estimator: Any = lateral.get(name)
+    paths = sorted((Path(lateral.__file__).parent / "shipped").glob(f"{name}.*.json"))
+    if not paths:
+        raise NotCertified(f"{name}: nothing is claimed; of the estimators want scheduled")
+    return [(p.stem, proof_file.read(p), estimator.certificate(p.stem.partition(".")[2])) for p in paths]
 
 
 def _search(

@@ -4,7 +4,7 @@ from typing import Any, Literal
 
 from outrider.cli import show
 
-What = Literal["scenarios", "observers", "datasets", "formats"]
+What = Literal["scenarios", "observers", "estimators", "cars", "datasets", "formats"]
 
 SOFTWARE = """@software{{outrider,
   title = {{outrider: from raw 2D lidar scans to tracked vehicles and warnings}},
@@ -12,6 +12,13 @@ SOFTWARE = """@software{{outrider,
   version = {{{version}}}
 }}"""
 METHODS = (
+    """@inproceedings{fenyes2023observer,
+  title = {An Observer Design Method Using Ultra-Local Model for Autonomous Vehicles},
+  author = {F{\\'e}nyes, D{\\'a}niel and Heged{\\H{u}}s, Tam{\\'a}s and Van Tan, Vu and
+    G{\\'a}sp{\\'a}r, P{\\'e}ter},
+  booktitle = {International Conference on Informatics in Control, Automation and Robotics (ICINCO)},
+  year = {2023}
+}""",
     """@article{alai2023multistage,
   title = {Multi-Stage Estimation Algorithm for Target Vehicle Trajectory Tracking with Applications to
     E-Scooter Protection},
@@ -41,14 +48,21 @@ METHODS = (
 
 
 def ls(what: What | None = None, /, *, json: show.Json = False) -> None:
-    """List scenarios, observers, data sets and formats.
+    """List scenarios, observers, estimators of lateral velocity, cars, data sets and formats.
 
     Parameters
     ----------
     what
         One of them; all where none is named.
     """
-    every = {"scenarios": _scenarios, "observers": _observers, "datasets": _datasets, "formats": _formats}
+    every = {
+        "scenarios": _scenarios,
+        "observers": _observers,
+        "estimators": _estimators,
+        "cars": _cars,
+        "datasets": _datasets,
+        "formats": _formats,
+    }
     found = {name: rows() for name, rows in every.items() if what in (None, name)}
     if json:
         show.json(found)
@@ -69,6 +83,22 @@ def _observers() -> list[dict[str, Any]]:
     from outrider import observers
 
     return [{"name": name, "reference": observers.get(name).reference} for name in observers.names()]
+
+
+def _estimators() -> list[dict[str, Any]]:
+    from outrider import lateral
+
+    return [{"name": name, "reference": lateral.get(name).reference} for name in lateral.names()]
+
+
+def _cars() -> list[dict[str, Any]]:
+    from outrider import cars
+
+    known = [(name, cars.load(name)) for name in cars.names()]
+    return [
+        {"name": name, "about": f"{car.mass:.0f} kg, wheelbase {car.front + car.rear:.2f} m"}
+        for name, car in known
+    ]
 
 
 def _datasets() -> list[dict[str, Any]]:

@@ -1,0 +1,1 @@
+"""Lateral velocity: all estimators on courses they were not tuned on, with cars that nobody here modelled."""

@@ -1,0 +1,1 @@
+"""Estimators of lateral velocity, one a file."""
