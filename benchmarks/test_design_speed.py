@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from outrider import design, proof_file
-from outrider.observers._shipped import certificate_of
+from outrider.observers import certificate_of
 from outrider.observers.multi_stage import NOMINAL
 
 SHIPPED = str(proof_file.SHIPPED / "multi_stage.json")

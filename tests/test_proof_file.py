@@ -10,8 +10,7 @@ import pytest
 
 from outrider import observers, proof_file
 from outrider.errors import InputError, NotCertified, OutputError
-from outrider.observers import constant_velocity, high_gain, multi_stage
-from outrider.observers._shipped import certificate_of
+from outrider.observers import certificate_of, constant_velocity, high_gain, multi_stage
 
 NAMES = sorted(p.stem for p in proof_file.SHIPPED.glob("*.json"))
 SHIPPED = proof_file.shipped("high_gain.designed")

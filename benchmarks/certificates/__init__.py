@@ -9,9 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from outrider import design, proof_file
-from outrider.observers import constant_velocity, high_gain, invariant, multi_stage
+from outrider.observers import certificate_of, constant_velocity, high_gain, invariant, multi_stage
 from outrider.observers._invariant_proof import DECAY, STEP
-from outrider.observers._shipped import certificate_of
 
 TOLERANCE = 0.002  # of designed gains, relative [-]
 BOUNDS = 0.02  # of proven bounds, relative [-]

@@ -15,7 +15,7 @@ from benchmarks.certificates import ALL, BOUNDS, TOLERANCE
 
 from outrider import proof_file
 from outrider.errors import OutriderError
-from outrider.observers._shipped import certificate_of
+from outrider.observers import certificate_of
 
 
 def main() -> int:

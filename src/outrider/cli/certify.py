@@ -90,7 +90,7 @@ def certify(
 def _kept(what: str) -> list[tuple[str, Any, Any]]:
     """Label, file and certificate of a file, or of all that come with the package for an observer."""
     from outrider import lateral, observers, proof_file
-    from outrider.observers._shipped import certificate_of
+    from outrider.observers import certificate_of
 
     if what.endswith(".json") or Path(what).exists():
         files = {what: proof_file.read(what)}

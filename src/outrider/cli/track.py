@@ -83,7 +83,7 @@ def _designed(path: Path, observer: str | None) -> list[str]:
     """The observer and gains of a file as `section.key=value`; NotCertified where they are not proven."""
     from outrider import proof_file
     from outrider.errors import InputError, NotCertified
-    from outrider.observers._shipped import certificate_of
+    from outrider.observers import certificate_of
 
     file = proof_file.read(path)
     proof = certificate_of(file)

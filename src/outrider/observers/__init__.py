@@ -16,7 +16,9 @@ from typing import Any, NamedTuple, Protocol, cast
 import numpy as np
 import numpy.typing as npt
 
+from outrider.certificate import Certificate
 from outrider.errors import InputError
+from outrider.proof_file import ProofFile
 
 Array = npt.NDArray[np.float64]
 
@@ -106,6 +108,7 @@ class Observer(Protocol):
     #   DESIGNED: Gains                                     gains from our own matrix inequalities
     #   spread(state, gains) -> Spread                      covariance, where there is one
     #   smooth(state, later, dt, gains) -> State            state with what `later`, dt [s] after it, knows
+    #   claim(gains, form, **region) -> claim.Claim         what is to be proven, for any gains and region
 
 
 def names() -> list[str]:
@@ -136,6 +139,28 @@ def gains_from(observer: Observer, values: Mapping[str, float]) -> Any:
 
 def _name(observer: Any) -> str:
     return str(observer.__name__).rpartition(".")[2]
+
+
+def certificate_of(file: ProofFile, gains: Any = None) -> Certificate:
+    """The certificate that a file of gains claims, its error matrices made anew; not checked.
+
+    gains: other ones than the file's. InputError for an observer, gain, form or region that this version does
+    not know; NotCertified where P is not of the shape that the claim's argument needs.
+    """
+    observer: Any = get(file.observer)
+    if not hasattr(observer, "claim"):
+        raise InputError(f"observer {file.observer!r} claims nothing; want one with a proof")
+    if gains is None:
+        missing = observer.Gains._fields - file.gains.keys()
+        if missing:
+            raise InputError(f"{file.observer}: {len(missing)} gains are missing; make it anew")
+        gains = gains_from(observer, file.gains)
+    try:
+        claim = observer.claim(gains, file.form, **file.asked)
+    except TypeError as error:
+        raise InputError(f"{file.observer}: no such region ({error}); make it anew") from error
+    made: Certificate = claim.certificate(file.P, file.rate, file.proofs)
+    return made
 
 
 class Variant(NamedTuple):

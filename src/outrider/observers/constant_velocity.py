@@ -182,9 +182,9 @@ def claim(gains: Gains, form: Any = "sampled", **asked: Any) -> Any:
 
 def certificate(gains: Gains = Gains()) -> Any:  # noqa: B008
     """Proof that errors decay as they are sampled, with what proves it for the default gains."""
-    from outrider.observers import _shipped
+    from outrider import observers, proof_file
 
-    return _shipped.certificate("constant_velocity", gains)
+    return observers.certificate_of(proof_file.shipped("constant_velocity"), gains)
 
 
 @kernel

@@ -203,10 +203,12 @@ def claim(gains: Gains, form: Any = "continuous", **asked: Any) -> Any:
 
 def certificate(gains: Gains = Gains()) -> Any:  # noqa: B008
     """Proof that the whole cascade is stable with the default gains or DESIGNED; what it says for others."""
-    from outrider.observers import _shipped
+    from outrider import observers, proof_file
 
     lined = gains.psi_V > 0.0
-    return _shipped.certificate("multi_stage.designed" if lined else "multi_stage", gains)
+    return observers.certificate_of(
+        proof_file.shipped("multi_stage.designed" if lined else "multi_stage"), gains
+    )
 
 
 @kernel
