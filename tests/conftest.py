@@ -42,3 +42,19 @@ def data() -> Path:
     if not Path(folder).is_dir():
         pytest.skip(f"real recordings: OUTRIDER_DATA={folder} is not a folder")
     return Path(folder)
+
+
+@pytest.fixture
+def outrider(capsys):
+    """Call the command line in this process: exit code, stdout, stderr; one line on stderr where refused."""
+    from outrider import cli
+
+    def call(*tokens):
+        capsys.readouterr()
+        code = cli.run([str(token) for token in tokens])
+        out, err = capsys.readouterr()
+        assert "Traceback" not in err
+        assert len(err.splitlines()) == (code != 0), err
+        return code, out, err
+
+    return call

@@ -37,21 +37,6 @@ def made(tmp_path_factory):
     return folder
 
 
-@pytest.fixture
-def outrider(capsys):
-    """Call the command line in this process: exit code, stdout, stderr."""
-
-    def call(*tokens):
-        capsys.readouterr()
-        code = cli.run([str(token) for token in tokens])
-        out, err = capsys.readouterr()
-        assert "Traceback" not in err
-        assert len(err.splitlines()) == (code != 0), err
-        return code, out, err
-
-    return call
-
-
 def refused(result, *words):
     """One line on stderr, nothing on stdout, exit code 2."""
     code, out, err = result

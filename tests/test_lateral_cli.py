@@ -26,18 +26,9 @@ def drives(tmp_path_factory):
 
 
 @pytest.fixture
-def outrider(capsys):
+def command(outrider):
     """Call `outrider lateral` in this process: exit code, stdout, stderr."""
-
-    def call(*tokens):
-        capsys.readouterr()
-        code = cli.run(["lateral", *(str(token) for token in tokens)])
-        out, err = capsys.readouterr()
-        assert "Traceback" not in err
-        assert len(err.splitlines()) == (code != 0), err
-        return code, out, err
-
-    return call
+    return lambda *tokens: outrider("lateral", *tokens)
 
 
 def refused(result, *words):
@@ -57,8 +48,8 @@ def columns(folder):
 # ------------------------------------------------------------------ estimate
 
 
-def test_an_estimate_leaves_a_folder(outrider, drives, tmp_path):
-    code, out, _ = outrider(drives / "a.parquet", "--observer", "scheduled", "-o", tmp_path / "run")
+def test_an_estimate_leaves_a_folder(command, drives, tmp_path):
+    code, out, _ = command(drives / "a.parquet", "--observer", "scheduled", "-o", tmp_path / "run")
     assert code == 0
     assert {p.name for p in (tmp_path / "run").iterdir()} == {
         *("estimate.parquet", "summary.json", "settings.toml", "car.toml", "vy.png")
@@ -71,8 +62,8 @@ def test_an_estimate_leaves_a_folder(outrider, drives, tmp_path):
     assert "never" in out  # held
 
 
-def test_the_estimate_is_that_of_the_library(outrider, drives, tmp_path):
-    assert outrider(drives / "b.csv", "--observer", "lq", "-o", tmp_path / "run", "--no-pictures")[0] == 0
+def test_the_estimate_is_that_of_the_library(command, drives, tmp_path):
+    assert command(drives / "b.csv", "--observer", "lq", "-o", tmp_path / "run", "--no-pictures")[0] == 0
     car, log = cars.load("b_class"), logs.read(drives / "b.csv")
     track = lateral.estimate(lateral.get("lq"), log.samples(car), car)
     made = columns(tmp_path / "run")
@@ -87,27 +78,27 @@ def test_the_estimate_is_that_of_the_library(outrider, drives, tmp_path):
     assert cars.load(tmp_path / "run" / "car.toml") == car
 
 
-def test_the_default_is_better_than_no_estimate(outrider, drives, tmp_path):
-    told = json.loads(outrider(drives / "a.parquet", "-o", tmp_path / "run", "--no-pictures", "--json")[1])
+def test_the_default_is_better_than_no_estimate(command, drives, tmp_path):
+    told = json.loads(command(drives / "a.parquet", "-o", tmp_path / "run", "--no-pictures", "--json")[1])
     assert told["estimator"] == "kalman"
     assert told["error"]["rmse_mps"] < 0.5 * told["error"]["rms_vy_mps"]
     assert told["folder"] == str(tmp_path / "run")
 
 
-def test_a_run_repeats_from_its_own_files(outrider, drives, tmp_path):
+def test_a_run_repeats_from_its_own_files(command, drives, tmp_path):
     first, again = tmp_path / "first", tmp_path / "again"
     log = drives / "a.parquet"
     chosen = ["--car", "D", "--observer", "ultra_local", "--set", "k4=0.7", "--set", "k5=0.8"]
-    assert outrider(log, *chosen, "-o", first, "--no-pictures")[0] == 0
+    assert command(log, *chosen, "-o", first, "--no-pictures")[0] == 0
     kept = tomllib.loads((first / "settings.toml").read_text())
     assert (kept["estimator"], kept["gains"]["k4"], kept["car_was"]) == ("ultra_local", 0.7, "D")
     tokens = ["--car", first / "car.toml", "--gains", first / "settings.toml", "-o", again, "--no-pictures"]
-    assert outrider(log, *tokens)[0] == 0
+    assert command(log, *tokens)[0] == 0
     assert columns(first) == columns(again)
-    assert refused(outrider(log, *tokens, "--force", "--observer", "lq"), "ultra_local", "leave one out")
+    assert refused(command(log, *tokens, "--force", "--observer", "lq"), "ultra_local", "leave one out")
 
 
-def test_what_was_not_seen_is_held_and_marked(outrider, tmp_path):
+def test_what_was_not_seen_is_held_and_marked(command, tmp_path):
     """Standstill, a short dropout that is coasted over, a long one, reverse, and no ay at all."""
     t = 0.01 * np.arange(3000)
     vx = np.where(t < 5.0, 10.0, np.where(t < 8.0, 0.3, np.where(t < 20.0, 8.0, -3.0)))
@@ -115,7 +106,7 @@ def test_what_was_not_seen_is_held_and_marked(outrider, tmp_path):
     yaw_rate[1000:1030] = np.nan
     yaw_rate[1500:1600] = np.nan
     logs.write(Log(t, vx, yaw_rate, np.full(3000, np.nan), steering), "drive.parquet")
-    code, out, _ = outrider("drive.parquet", "-o", "run", "--no-pictures")
+    code, out, _ = command("drive.parquet", "-o", "run", "--no-pictures")
     assert code == 0
     held = np.array(columns(tmp_path / "run")["held"])
     expected = (np.abs(vx) < 1.0) | np.isnan(yaw_rate)
@@ -131,13 +122,13 @@ def test_what_was_not_seen_is_held_and_marked(outrider, tmp_path):
     assert "ay missing in 3000 rows" in out
 
 
-def test_suspected_units_are_told_and_the_estimate_made(outrider, drives, tmp_path):
+def test_suspected_units_are_told_and_the_estimate_made(command, drives, tmp_path):
     log = logs.read(drives / "a.parquet")
     logs.write(Log(log.t, log.vx, log.yaw_rate, log.ay, log.steering * 180.0 / np.pi), "deg.csv")
-    code, out, _ = outrider("deg.csv", "-o", "run", "--no-pictures")
+    code, out, _ = command("deg.csv", "-o", "run", "--no-pictures")
     assert code == 0
     assert "deg instead of rad" in out
-    assert outrider("deg.csv", "-o", "run2", "--no-pictures", "--column", "steering=steering")[0] == 0
+    assert command("deg.csv", "-o", "run2", "--no-pictures", "--column", "steering=steering")[0] == 0
     told = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert any("deg instead of rad" in text for text in told["doubts"])
 
@@ -164,7 +155,7 @@ CAR += "front_stiffness_n_per_rad = 1e5\nrear_stiffness_n_per_rad = 1e5\n"
         (["good", "--gains", "negative.toml"], ["negative.toml", "estimator"]),
     ],
 )
-def test_what_is_refused(outrider, drives, tmp_path, tokens, words):
+def test_what_is_refused(command, drives, tmp_path, tokens, words):
     (tmp_path / "negative.toml").write_text(CAR.format(-3.0))
     (tmp_path / "good.csv").write_text((drives / "b.csv").read_text()[:20000].rpartition("\n")[0])
     log = tokens[0]
@@ -172,32 +163,32 @@ def test_what_is_refused(outrider, drives, tmp_path, tokens, words):
         (tmp_path / "bad.csv").write_text(log)
         log = "bad.csv"
     log = "good.csv" if log == "good" else log
-    assert refused(outrider(log, *tokens[1:], "-o", "run"), *words)
+    assert refused(command(log, *tokens[1:], "-o", "run"), *words)
     assert not (tmp_path / "run").exists()
 
 
-def test_results_are_replaced_only_when_asked(outrider, drives, tmp_path):
+def test_results_are_replaced_only_when_asked(command, drives, tmp_path):
     tokens = [drives / "a.parquet", "--observer", "lq", "-o", tmp_path / "run", "--no-pictures"]
-    assert outrider(*tokens)[0] == 0
-    assert refused(outrider(*tokens), "--force")
-    assert outrider(*tokens, "--force")[0] == 0
+    assert command(*tokens)[0] == 0
+    assert refused(command(*tokens), "--force")
+    assert command(*tokens, "--force")[0] == 0
 
 
 # ------------------------------------------------------------------ simulate
 
 
-def test_the_same_seed_makes_the_same_log(outrider, drives, tmp_path):
+def test_the_same_seed_makes_the_same_log(command, drives, tmp_path):
     tokens = ["simulate", "winding:5", "-o"]
-    assert outrider(*tokens, "again.parquet", "--seed", "5")[0] == 0
-    assert outrider(*tokens, "other.parquet", "--seed", "6")[0] == 0
+    assert command(*tokens, "again.parquet", "--seed", "5")[0] == 0
+    assert command(*tokens, "other.parquet", "--seed", "6")[0] == 0
     a, again, other = (
         logs.read(p).fingerprint() for p in (drives / "a.parquet", "again.parquet", "other.parquet")
     )
     assert a == again != other
 
 
-def test_a_simulated_log_keeps_to_what_is_asked(outrider):
-    code, out, _ = outrider(
+def test_a_simulated_log_keeps_to_what_is_asked(command):
+    code, out, _ = command(
         *("simulate", "winding:3", "--car", "D", "--noise", "none", "--speed", "8:15", "-o", "d.csv")
     )
     assert code == 0
@@ -220,39 +211,39 @@ def test_a_simulated_log_keeps_to_what_is_asked(outrider):
         (["winding:5", "--car", "van"], "van"),
     ],
 )
-def test_what_cannot_be_simulated(outrider, tmp_path, tokens, word):
-    assert refused(outrider("simulate", *tokens, "-o", "log.csv"), word)
+def test_what_cannot_be_simulated(command, tmp_path, tokens, word):
+    assert refused(command("simulate", *tokens, "-o", "log.csv"), word)
     assert not (tmp_path / "log.csv").exists()
     (tmp_path / "log.csv").write_text("mine")
-    assert refused(outrider("simulate", "winding:5", "-o", "log.csv"), "--force")
+    assert refused(command("simulate", "winding:5", "-o", "log.csv"), "--force")
 
 
 # ------------------------------------------------------------------ tune
 
 
-def test_tuned_gains_serve_the_other_drive(outrider, drives, tmp_path):
-    code, out, _ = outrider("tune", drives / "a.parquet", "--set", "base=0", "-o", "alpha.json")
+def test_tuned_gains_serve_the_other_drive(command, drives, tmp_path):
+    code, out, _ = command("tune", drives / "a.parquet", "--set", "base=0", "-o", "alpha.json")
     assert code == 0
     assert "chosen" in out
     assert (tmp_path / "alpha.png").read_bytes().startswith(b"\x89PNG")
     kept = json.loads((tmp_path / "alpha.json").read_text())
     assert kept["logs"][0]["sha256"] == logs.read(drives / "a.parquet").fingerprint()
     tokens = [drives / "b.csv", "--no-pictures", "--json"]
-    tuned = json.loads(outrider(*tokens, "--gains", "alpha.json", "-o", "tuned")[1])
+    tuned = json.loads(command(*tokens, "--gains", "alpha.json", "-o", "tuned")[1])
     off = [token for i in range(1, 8) for token in ("--set", f"k{i}=0")]
     plain = ["--observer", "ultra_local", "--set", "base=0", *off, "-o", "plain"]
-    without = json.loads(outrider(*tokens, *plain)[1])
+    without = json.loads(command(*tokens, *plain)[1])
     assert tuned["estimator"] == "ultra_local"
     assert tuned["error"]["rmse_mps"] < without["error"]["rmse_mps"]
-    assert refused(outrider("tune", drives / "a.parquet", "-o", "alpha.json"), "--force")
+    assert refused(command("tune", drives / "a.parquet", "-o", "alpha.json"), "--force")
     (tmp_path / "alpha.json").unlink()
-    assert refused(outrider("tune", drives / "a.parquet", "-o", "alpha.json"), "alpha.png", "--force")
+    assert refused(command("tune", drives / "a.parquet", "-o", "alpha.json"), "alpha.png", "--force")
 
 
-def test_tuning_wants_vy(outrider, drives, tmp_path):
+def test_tuning_wants_vy(command, drives, tmp_path):
     log = logs.read(drives / "a.parquet")
     logs.write(Log(log.t, log.vx, log.yaw_rate, log.ay, log.steering), "blind.csv")
-    assert refused(outrider("tune", "blind.csv", "-o", "alpha.json"), "vy")
+    assert refused(command("tune", "blind.csv", "-o", "alpha.json"), "vy")
     assert not (tmp_path / "alpha.json").exists()
 
 
@@ -260,7 +251,7 @@ def test_tuning_wants_vy(outrider, drives, tmp_path):
 
 
 @pytest.mark.parametrize("options", [[], ["--no-vy"]])
-def test_an_identified_car_serves_the_other_drive(outrider, drives, tmp_path, options):
+def test_an_identified_car_serves_the_other_drive(command, drives, tmp_path, options):
     """The logs have the angle of the hand wheel, and the stiffness of the axles is guessed wrong."""
     for name in ("a.parquet", "b.csv"):
         log = logs.read(drives / name)
@@ -268,7 +259,7 @@ def test_an_identified_car_serves_the_other_drive(outrider, drives, tmp_path, op
     begun = cars.load("b_class")
     guess = begun._replace(front_stiffness=1.5e5, rear_stiffness=8e4, steering_gain=0.05)
     cars.save(guess, "guess.toml")
-    code, out, _ = outrider("identify", "hand_a.parquet", "--car", "guess.toml", *options, "-o", "car.toml")
+    code, out, _ = command("identify", "hand_a.parquet", "--car", "guess.toml", *options, "-o", "car.toml")
     assert code == 0
     assert re.search(r"^mass_kg +1223 +kept +1223$", out, flags=re.M)
     found = cars.load("car.toml")
@@ -278,22 +269,22 @@ def test_an_identified_car_serves_the_other_drive(outrider, drives, tmp_path, op
     error = {}
     for car in ("guess.toml", "car.toml"):
         tokens = ["hand_b.csv", "--car", car, "--observer", "tyre", "-o", car[:-5], "--no-pictures"]
-        error[car] = json.loads(outrider(*tokens, "--json")[1])["error"]["rmse_mps"]
+        error[car] = json.loads(command(*tokens, "--json")[1])["error"]["rmse_mps"]
     assert error["car.toml"] < 0.5 * error["guess.toml"]
-    assert refused(outrider("identify", "hand_a.parquet", "-o", "car.toml"), "--force")
+    assert refused(command("identify", "hand_a.parquet", "-o", "car.toml"), "--force")
 
 
-def test_too_little_driving_identifies_nothing(outrider, drives, tmp_path):
+def test_too_little_driving_identifies_nothing(command, drives, tmp_path):
     tokens = ["identify", drives / "a.parquet", "-o", "car.toml", "--span"]
-    assert refused(outrider(*tokens, "10:20"), "s of driving")
-    assert refused(outrider(*tokens, "1e4:2e4"), "want at least 2")
-    assert refused(outrider(*tokens, "late"), "--span")
+    assert refused(command(*tokens, "10:20"), "s of driving")
+    assert refused(command(*tokens, "1e4:2e4"), "want at least 2")
+    assert refused(command(*tokens, "late"), "--span")
     assert not (tmp_path / "car.toml").exists()
 
 
-def test_a_part_of_a_log(outrider, drives, tmp_path):
+def test_a_part_of_a_log(command, drives, tmp_path):
     tokens = ["--observer", "lq", "--span", "100:150", "-o", tmp_path / "run", "--no-pictures"]
-    assert outrider(drives / "a.parquet", *tokens)[0] == 0
+    assert command(drives / "a.parquet", *tokens)[0] == 0
     t = columns(tmp_path / "run")["t"]
     assert (t[0], t[-1], len(t)) == (100.0, pytest.approx(149.99), 5000)
 
@@ -317,10 +308,10 @@ def test_a_real_car_is_identified_on_one_half_and_estimated_on_the_other(
     (tmp_path / "start.toml").write_text(RACE_CAR)
     log = data / "revs_250lm" / "20140222_01_01_03_250lm_dev.parquet"
     tokens = ["identify", log, "--car", "start.toml", *options, "--span", "149:332.49", "-o", "car.toml"]
-    assert outrider(*tokens)[0] == 0
+    assert command(*tokens)[0] == 0
     for name in ("tyre", "friction_bank", "kalman", "scheduled"):
         tokens = [log, "--car", "car.toml", "--observer", name, "--span", "332.49:600", "-o", name]
-        error = json.loads(outrider(*tokens, "--no-pictures", "--json")[1])["error"]
+        error = json.loads(command(*tokens, "--no-pictures", "--json")[1])["error"]
         (row,) = re.findall(rf"^\| `{name}` \| (0\.\d\d) \| (0\.\d\d) \|$", page, flags=re.M)
         assert error["rmse_mps"] == pytest.approx(float(row[column - 1]), abs=0.015)
         assert error["rms_vy_mps"] == pytest.approx(0.74, abs=0.005)

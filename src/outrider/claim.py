@@ -70,6 +70,7 @@ class Claim:
     asked: Mapping[str, Any]  # arguments that make this claim again, all of them
     blocks: Blocks | None = None  # lists of states that form a block of P; blocks of one group are equal
     sought: tuple[Sought, ...] = ()
+    states: Family | None = None  # of states of the region itself: where one is unstable, no proof can exist
 
     def certificate(self, P: Array, rate: float, proofs: Iterable[Proof] = ()) -> Certificate:
         """The claim with what is said to prove it; exact bounds are computed here.

@@ -119,11 +119,12 @@ def tune(
     pictures
         Draw alpha over the bins, beside the output with suffix .png.
     """
+    from outrider.io._folder import may_write
     from outrider.lateral import tune as tuning
 
     picture = output.with_suffix(".png")
     for path in (output, picture) if pictures else (output,):
-        _may_write(path, force)
+        may_write(path, force)
     found = [_read(path, column, span) for path in logs]
     made = tuning.tune(found, _car(car), observer, over or "", method, _numbers(set_))
     tuning.save(made, output)
@@ -172,9 +173,10 @@ def identify(
         Part to use, by the log's own clock, BEGIN:END [s].
     """
     from outrider import cars
+    from outrider.io._folder import may_write
     from outrider.lateral import identify as identifying
 
-    _may_write(output, force)
+    may_write(output, force)
     begun = _car(car)
     made = identifying.identify([_read(path, column, span) for path in logs], begun, use_vy=vy, roll=roll)
     cars.save(made.car, output)
@@ -218,13 +220,14 @@ def simulate(
     seed
         Of the noise; the same seed gives the same log.
     """
+    from outrider.io._folder import may_write
     from outrider.lateral import course as courses
     from outrider.lateral import log, plant
 
     kind, _, number = course.partition(":")
     way = courses.winding(_seed(number)) if kind == "winding" else courses.read(course)
     least, most = quantities.span(speed, "--speed")
-    _may_write(output, force)
+    may_write(output, force)
     wished = courses.plan(way, friction, least=least, most=most)
     made = plant.simulate(way, _car(car), friction, noise, seed, wished)
     log.write(made, output)
@@ -288,8 +291,3 @@ def _seed(text: str) -> int:
     if not text.isdecimal():
         raise InputError(f"course winding:{text}; want a number, such as winding:5")
     return int(text)
-
-
-def _may_write(path: Path, force: bool) -> None:
-    if path.exists() and not force:
-        raise InputError(f"{path}: exists; choose another name, or --force to replace it")

@@ -11,6 +11,7 @@ from outrider.claim import Claim, Proof
 from outrider.design._solve import Problem, Solved
 from outrider.design.bounds import bound
 from outrider.errors import NotCertified
+from outrider.family import Family
 
 Array = npt.NDArray[np.float64]
 
@@ -22,7 +23,9 @@ def prove(claim: Claim, rate: float, *, bounds: bool = True) -> tuple[Certificat
     NotCertified where a matrix alone is unstable at that rate (which one and its eigenvalue are named), where
     no common P exists, or where its margin does not stand up to rounding.
     """
-    refuse_unstable(claim, rate)
+    if claim.states:
+        _refuse_unstable(claim, claim.states, rate, "no proof can exist")
+    _refuse_unstable(claim, claim.family, rate, "no proof over these corners can exist")
     matrices, form = claim.family.matrices, claim.form
     problem, one = Problem(), np.eye(matrices.shape[1])
     P, margin = problem.symmetric(len(one), claim.blocks), problem.number()
@@ -56,11 +59,9 @@ def accept(certificate: Certificate, solved: Solved) -> Certificate:
     return certificate
 
 
-def refuse_unstable(
-    claim: Claim, rate: float, verdict: str = "no proof over these corners can exist"
-) -> None:
+def _refuse_unstable(claim: Claim, family: Family, rate: float, verdict: str) -> None:
     """NotCertified, with the corner and the eigenvalue, where one matrix alone does not decay at `rate`."""
-    if found := unstable(claim.family.matrices, claim.family.corners, rate, claim.form):
+    if found := unstable(family.matrices, family.corners, rate, claim.form):
         raise NotCertified(
             f"{claim.observer}: {verdict}: {found}; narrow the region, lower the rate or change the gain"
         )

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from outrider import family
 from outrider.certificate import Certificate
 from outrider.claim import Claim
-from outrider.design.prove import accept, prove, refuse_unstable
+from outrider.design.prove import accept, prove
 from outrider.errors import InputError, NotCertified
 from outrider.family import Family
 from outrider.observers import high_gain
@@ -287,9 +287,7 @@ class _Search:
 
     def refusal(self, ratio: float, steps: int) -> str:
         """Why a yaw rate is not proven; the eigenvalue where a state alone is unstable."""
-        frozen = family.frozen_high_gain(self.gain, 1.0, ratio, self.step * steps)
         try:
-            refuse_unstable(replace(self.claim(ratio, steps), family=frozen), self.rate, "no proof can exist")
             self.proof(ratio, steps)
         except NotCertified as refused:
             return str(refused)

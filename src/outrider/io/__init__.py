@@ -15,6 +15,7 @@ from pathlib import Path
 
 from outrider.errors import InputError, OutputError, OutriderError
 from outrider.io._choose import Chosen, choose_topics
+from outrider.io._folder import may_write
 from outrider.io._info import Info, ScanInfo, TopicInfo, describe_recording
 from outrider.io._recording import Format, Message, Recording, Topic, one_line
 
@@ -176,9 +177,6 @@ def _check_target(path: Path, force: bool) -> None:
         raise InputError(f"{path}: not a name for a recording")
     if not path.parent.is_dir():
         raise OutputError(f"{path}: there is no folder {path.parent}; make it first")
-    if not path.exists():
-        return
-    if not force:
-        raise InputError(f"{path}: exists; choose another name, or --force to replace it")
+    may_write(path, force)
     if path.is_dir() and any(path.iterdir()) and not (path / "metadata.yaml").is_file():
         raise InputError(f"{path}: a folder that is no ROS 2 bag is never replaced; choose another name")

@@ -1,4 +1,4 @@
-"""A folder for results: made, or empty, or to be replaced; what the file system refuses is one line."""
+"""A place for results: new, or to be replaced; what the file system refuses is one line."""
 
 from __future__ import annotations
 
@@ -20,6 +20,12 @@ def writing(path: Path) -> Iterator[None]:
             f"{path}: cannot write ({reason}); what was written before stays readable; "
             "free some space or name another folder with -o"
         ) from error
+
+
+def may_write(path: Path, force: bool) -> None:
+    """InputError where something is there already, unless `force`."""
+    if path.exists() and not force:
+        raise InputError(f"{path}: exists; choose another name, or --force to replace it")
 
 
 def prepare(folder: Path, force: bool = False) -> None:

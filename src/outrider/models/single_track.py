@@ -11,7 +11,7 @@ Functions take numbers, and compile as they stand.
 
 from __future__ import annotations
 
-from math import cos, cosh, exp, sin, sinh, sqrt, tanh
+from math import cos, cosh, exp, sin, sinh, sqrt
 from typing import Any, NamedTuple
 
 from outrider.kernel import kernel
@@ -77,9 +77,3 @@ def lateral_acceleration(vy: float, r: float, delta: float, vx: float, car: Any)
     m = linear(vx, car)
     a: float = m.a11 * vy + (m.a12 + vx) * r + m.b1 * delta
     return a
-
-
-@kernel
-def axle_force(slip: float, stiffness: float, limit: float) -> float:
-    """Lateral force of an axle [N] at a slip angle [rad]: stiffness times slip, saturating at `limit` [N]."""
-    return limit * tanh(stiffness * slip / limit)

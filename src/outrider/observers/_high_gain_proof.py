@@ -65,6 +65,7 @@ def _continuous(gains: Any, speed: float = 5.0, acceleration: float = 3.0, yaw_r
         {"speed": speed, "acceleration": acceleration, "yaw_rate": yaw_rate},
         BLOCKS,
         _sought(made.matrices, [-np.array(L) / T] * len(made.matrices), T),
+        family.frozen_high_gain(L, speed, acceleration, yaw_rate),
     )
 
 
