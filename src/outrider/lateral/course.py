@@ -103,7 +103,10 @@ def _periodic(closed: Array) -> tuple[Array, Array]:
 
 
 def winding(seed: int, length: float = 4000.0) -> Course:
-    """Made course: straights and turns of 12 to 120 m radius in random order, eased in and out."""
+    """Made course of at least `length` [m]: straights and turns of 12 to 120 m radius in random order, eased.
+
+    The same seed makes the same course.
+    """
     rng = np.random.default_rng(seed)
     pieces: list[Array] = []
     total = 0
