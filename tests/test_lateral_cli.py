@@ -301,7 +301,7 @@ rear_stiffness_n_per_rad = 120000.0
 
 @pytest.mark.parametrize(("options", "column", "most"), [([], 1, 0.20), (["--no-vy"], 2, 0.26)])
 def test_a_real_car_is_identified_on_one_half_and_estimated_on_the_other(
-    outrider, data, tmp_path, options, column, most
+    command, data, tmp_path, options, column, most
 ):
     """The figures are those of docs/lateral.md."""
     page = (Path(__file__).parents[1] / "docs" / "lateral.md").read_text()
