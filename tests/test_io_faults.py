@@ -293,7 +293,7 @@ def test_a_named_topic_that_is_missing_offers_the_nearest(tmp_path):
     for named in (Named(scan_topic="/scam"), Named(ego_topic="/scna"), Named(truth_topics=("/scann",))):
         with pytest.raises(InputError, match="did you mean /scan"):
             io.choose_topics(recording, named)
-    with pytest.raises(InputError, match=r"there is .*/ego_pose, /scan, /truth/car_1"):
+    with pytest.raises(InputError, match=r"want one of .*/ego_pose, /scan, /truth/car_1"):
         io.choose_topics(recording, Named(scan_topic="qqqqqqq"))
 
 

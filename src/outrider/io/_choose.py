@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from outrider.errors import InputError
-from outrider.io._recording import ODOMETRY_TYPE, Recording, Topic, suggest
+from outrider.extension import nearest
+from outrider.io._recording import ODOMETRY_TYPE, Recording, Topic
 from outrider.settings import Recording as Named
 
 EGO_WORDS = ("ego", "odom", "base", "self")  # in the last part of a topic's name
@@ -78,7 +79,7 @@ def _check(recording: Recording, name: str, kind: str) -> str:
     topic = every.get(name)
     want = {"scan": "a LaserScan", "pose": "a pose or odometry"}[kind]
     if topic is None:
-        raise InputError(f"{recording.path}: no topic {name!r}{suggest(name, every)}")
+        raise InputError(f"{recording.path}: no topic {name!r}{nearest(name, sorted(every))}")
     if topic.kind != kind:
         fitting = ", ".join(t.name for t in recording.topics if t.kind == kind) or "none here"
         raise InputError(f"{recording.path}: topic {name!r} is {topic.type}; want {want}: {fitting}")

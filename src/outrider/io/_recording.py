@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from outrider.errors import InputError, OutriderError
+from outrider.extension import nearest
 from outrider.records import LaserScan, Pose
 
 Message = LaserScan | Pose
@@ -47,7 +47,7 @@ class Recording:
         known = {topic.name for topic in self.topics}
         wanted = frozenset(known if topics is None else topics)
         for name in sorted(wanted - known):
-            raise InputError(f"{self.path}: no scan or pose topic {name!r}{suggest(name, known)}")
+            raise InputError(f"{self.path}: no scan or pose topic {name!r}{nearest(name, sorted(known))}")
         return _guarded(self.path, self.read(wanted)) if wanted else iter(())
 
 
@@ -63,14 +63,6 @@ class Format:
     write: (
         Callable[[Path, Iterable[Message], Mapping[str, str]], None] | None
     )  # path, messages, types by topic
-
-
-def suggest(name: str, known: Collection[str]) -> str:
-    """Tail of an error message: the names nearest to a wrong one, or all there are."""
-    near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
-    if near:
-        return f"; did you mean {', '.join(near)}?"
-    return f"; there is {', '.join(sorted(known))}" if known else "; there is none"
 
 
 def _guarded(path: Path, messages: Iterator[Message]) -> Iterator[Message]:

@@ -5,16 +5,14 @@ One file is one estimator, named as the file is. Body frame: x forward, y left; 
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
-from importlib import import_module
 from pathlib import Path
-from pkgutil import iter_modules
-from typing import Any, NamedTuple, Protocol, cast
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from outrider import extension
 from outrider.cars import Car
 from outrider.errors import InputError
 
@@ -79,31 +77,18 @@ class Track(NamedTuple):
 
 def names() -> list[str]:
     """Names of all estimators: the files of `estimators/`."""
-    return sorted(
-        m.name for m in iter_modules([str(Path(__file__).parent / "estimators")]) if m.name[0] != "_"
-    )
+    return extension.files(Path(__file__).parent / "estimators")
 
 
 def get(name: str) -> Estimator:
     """Estimator by name; InputError, with the nearest names, for an unknown one."""
-    if name not in names():
-        close = difflib.get_close_matches(name, names(), n=3, cutoff=0.5)
-        raise InputError(
-            f"estimator {name!r} is not known; "
-            + (f"did you mean {', '.join(close)}?" if close else f"want one of {', '.join(names())}")
-        )
-    return cast(Estimator, import_module(f"{__name__}.estimators.{name}"))
+    found: Estimator = extension.load(f"{__name__}.estimators", name, names(), "estimator")
+    return found
 
 
 def gains_from(estimator: Estimator, values: Mapping[str, float]) -> Any:
     """The estimator's Gains with some replaced; InputError for an unknown name or no finite number."""
-    gains = estimator.Gains()
-    for name, value in values.items():
-        if name not in gains._fields:
-            raise InputError(f"gain {name!r} is not known; want one of {', '.join(gains._fields)}")
-        if not np.isfinite(value):
-            raise InputError(f"gain {name} = {value}; want a finite number")
-    return gains._replace(**{name: float(value) for name, value in values.items()})
+    return extension.replaced(estimator.Gains(), values)
 
 
 def estimate(estimator: Estimator, samples: Array, car: Car, gains: Any = None, dt: float = 0.0) -> Track:

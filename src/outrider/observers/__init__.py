@@ -6,18 +6,17 @@ Fixed frame W, lengths of the full-size world, angles counter-clockwise.
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterator, Mapping
-from importlib import import_module
-from pkgutil import iter_modules
-from typing import Any, NamedTuple, Protocol, cast
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from outrider import extension
 from outrider.certificate import Certificate
 from outrider.errors import InputError
+from outrider.extension import nearest
 from outrider.proof_file import ProofFile
 
 Array = npt.NDArray[np.float64]
@@ -113,32 +112,20 @@ class Observer(Protocol):
 
 def names() -> list[str]:
     """Names of all observers: the files of this folder."""
-    return sorted(module.name for module in iter_modules(__path__) if not module.name.startswith("_"))
+    return extension.files(*__path__)
 
 
 def get(name: str) -> Observer:
     """Observer by name; InputError, with the nearest names, for an unknown one."""
-    if name not in names():
-        raise InputError(f"observer {name!r} is not known{_nearest(name, names())}")
-    return cast(Observer, import_module(f"{__name__}.{name}"))
+    found: Observer = extension.load(__name__, name, names(), "observer")
+    return found
 
 
 def gains_from(observer: Observer, values: Mapping[str, float]) -> Any:
     """The observer's Gains with some numbers replaced; InputError for an unknown name or no finite number."""
-    gains = observer.Gains()
-    known = [name for name, value in gains._asdict().items() if isinstance(value, float)]
-    for name, value in values.items():
-        if name not in known:
-            raise InputError(
-                f"observer.gains.{_name(observer)}: {name!r} is not known{_nearest(name, known)}"
-            )
-        if not np.isfinite(value):
-            raise InputError(f"observer.gains.{_name(observer)}: {name} = {value}; want a finite number")
-    return gains._replace(**{name: float(value) for name, value in values.items()})
-
-
-def _name(observer: Any) -> str:
-    return str(observer.__name__).rpartition(".")[2]
+    named: Any = observer
+    where = f"observer.gains.{named.__name__.rpartition('.')[2]}: "
+    return extension.replaced(observer.Gains(), values, where)
 
 
 def certificate_of(file: ProofFile, gains: Any = None) -> Certificate:
@@ -195,7 +182,7 @@ def variant(text: str, changes: Mapping[str, Mapping[str, float]] | None = None)
     elif chosen in sets:
         gains = sets[chosen]
     else:
-        raise InputError(f"observer {name}: no gains {chosen!r}{_nearest(chosen, list(sets))}")
+        raise InputError(f"observer {name}: no gains {chosen!r}{nearest(chosen, list(sets))}")
     check_lag(observer, lag)
     return Variant(text.strip().lower(), observer, gains, lag)
 
@@ -222,11 +209,6 @@ def _every(changes: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
                 yield f"{name}:{chosen}"
         if hasattr(observer, "smooth"):
             yield f"{name}+lag2"
-
-
-def _nearest(name: str, known: list[str]) -> str:
-    close = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
-    return f"; did you mean {', '.join(close)}?" if close else f"; want one of {', '.join(known)}"
 
 
 def stream(observer: Observer) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -16,6 +15,7 @@ import msgspec
 
 from outrider import __version__
 from outrider.errors import InputError
+from outrider.extension import nearest
 from outrider.io._folder import writing
 from outrider.reproduce.html import document
 from outrider.reproduce.section import Claim, Section, Table
@@ -50,9 +50,7 @@ def chosen(only: str | None) -> tuple[str, ...]:
     names = [name.strip().lower() for name in only.split(",")] if only is not None else list(PARTS)
     for name in names:
         if name not in PARTS:
-            close = difflib.get_close_matches(name, PARTS, n=2, cutoff=0.5)
-            hint = f"did you mean {', '.join(close)}?" if close else f"want one or more of {', '.join(PARTS)}"
-            raise InputError(f"part {name!r} is not known; {hint}")
+            raise InputError(f"part {name!r} is not known{nearest(name, PARTS)}")
     return tuple(name for name in PARTS if name in names)
 
 
