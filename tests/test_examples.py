@@ -48,6 +48,14 @@ def test_print_warnings(tmp_path):
     assert any(10.0 < t < 13.9 for t in danger)
 
 
+def test_live_replay(tmp_path):
+    """Played six times as fast as it was recorded."""
+    io.write_recording(tmp_path / "demo.mcap", simulate.record(simulate.load("demo")))
+    printed = run("live_replay", tmp_path / "demo.mcap", 6)
+    assert re.search(r"^danger +\d+\.\d ms after its last beam$", printed, flags=re.M)
+    assert re.search(r"^\d+ scans, [1-9] dangers$", printed, flags=re.M)
+
+
 def test_results_in_pandas(crossing):
     """The car accelerates from 3 to 9 m/s, and is 4 to 5 m long."""
     head, *rows = run("results_in_pandas", crossing[0] / "crossing").splitlines()
@@ -90,6 +98,18 @@ def test_lateral_velocity():
     for road in (0, 1):
         assert error["scheduled"][road] < error["lq"][road] < itself[road] < error["integration"][road]
         assert error["kalman"][road] < error["lq"][road]
+
+
+def test_relocalise():
+    """Whatever the motion, the robot is found within seconds, and then known to centimetres."""
+    head, *rows = run("relocalise", "asymmetric", "5").splitlines()
+    assert head.split() == ["motion", "found", "after", "error", "observability"]
+    assert len(rows) == 7
+    for row in rows:
+        _, found, _, error, _, seen = row.split()
+        assert float(found) < 10.0
+        assert float(error) < 0.1
+        assert 0.02 < float(seen) < 1.0
 
 
 def test_the_settings_of_the_model_cars_are_those_of_the_data_set():

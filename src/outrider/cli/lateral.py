@@ -64,7 +64,8 @@ def estimate(
     from outrider.lateral import run
 
     name, values = _gains(gains, observer)
-    made = run.run(_read(log, column, span), _car(car), name or run.DEFAULT, {**values, **_numbers(set_)})
+    given = {**values, **quantities.values(set_, "--set")}
+    made = run.run(_read(log, column, span), _car(car), name or run.DEFAULT, given)
     run.save(made, output, force, {"log": log.name, "car_was": car})
     if pictures:
         from outrider import plots_lateral
@@ -126,7 +127,7 @@ def tune(
     for path in (output, picture) if pictures else (output,):
         may_write(path, force)
     found = [_read(path, column, span) for path in logs]
-    made = tuning.tune(found, _car(car), observer, over or "", method, _numbers(set_))
+    made = tuning.tune(found, _car(car), observer, over or "", method, quantities.values(set_, "--set"))
     tuning.save(made, output)
     if pictures:
         from outrider import plots_tune
@@ -243,19 +244,6 @@ def simulate(
 # ------------------------------------------------------------------ what is given
 
 
-def _pairs(given: list[str] | None, option: str) -> dict[str, str]:
-    """Name and value of each NAME=VALUE."""
-    parts = [text.partition("=") for text in given or []]
-    for (name, sep, value), text in zip(parts, given or [], strict=True):
-        if not (name.strip() and sep and value.strip()):
-            raise InputError(f"{option} {text!r}; want name=value")
-    return {name.strip(): value.strip() for name, _, value in parts}
-
-
-def _numbers(given: list[str] | None) -> dict[str, float]:
-    return {key: quantities.number(text, f"--set {key}") for key, text in _pairs(given, "--set").items()}
-
-
 def _gains(path: Path | None, observer: str | None) -> tuple[str | None, dict[str, float]]:
     """Estimator and gains of a file of `tune`, or of settings.toml of a run; else what is asked for."""
     if path is None:
@@ -275,7 +263,7 @@ def _gains(path: Path | None, observer: str | None) -> tuple[str | None, dict[st
 def _read(path: Path, column: list[str] | None, span: str | None) -> "Log":
     from outrider.lateral import log
 
-    found = log.read(path, _pairs(column, "--column"))
+    found = log.read(path, quantities.pairs(column, "--column"))
     return found.part(*quantities.span(span, "--span")) if span else found
 
 

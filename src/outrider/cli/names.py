@@ -4,7 +4,7 @@ from typing import Any, Literal
 
 from outrider.cli import show
 
-What = Literal["scenarios", "observers", "estimators", "cars", "datasets", "formats"]
+What = Literal["scenarios", "observers", "estimators", "relocalisers", "rooms", "cars", "datasets", "formats"]
 
 SOFTWARE = """@software{{outrider,
   title = {{outrider: from raw 2D lidar scans to tracked vehicles and warnings}},
@@ -12,6 +12,12 @@ SOFTWARE = """@software{{outrider,
   version = {{{version}}}
 }}"""
 METHODS = (
+    """@article{cedervall2007nonlinear,
+  title = {Nonlinear Observers for Unicycle Robots with Range Sensors},
+  author = {Cedervall, Simon and Hu, Xiaoming},
+  journal = {IEEE Transactions on Automatic Control},
+  year = {2007}
+}""",
     """@inproceedings{fenyes2023observer,
   title = {An Observer Design Method Using Ultra-Local Model for Autonomous Vehicles},
   author = {F{\\'e}nyes, D{\\'a}niel and Heged{\\H{u}}s, Tam{\\'a}s and Van Tan, Vu and
@@ -48,7 +54,7 @@ METHODS = (
 
 
 def ls(what: What | None = None, /, *, json: show.Json = False) -> None:
-    """List scenarios, observers, estimators of lateral velocity, cars, data sets and formats.
+    """List scenarios, observers, what estimates lateral velocity or a pose, rooms, cars, data sets, formats.
 
     Parameters
     ----------
@@ -59,6 +65,8 @@ def ls(what: What | None = None, /, *, json: show.Json = False) -> None:
         "scenarios": _scenarios,
         "observers": _observers,
         "estimators": _estimators,
+        "relocalisers": _relocalisers,
+        "rooms": _rooms,
         "cars": _cars,
         "datasets": _datasets,
         "formats": _formats,
@@ -89,6 +97,27 @@ def _estimators() -> list[dict[str, Any]]:
     from outrider import lateral
 
     return [{"name": name, "reference": lateral.get(name).reference} for name in lateral.names()]
+
+
+def _relocalisers() -> list[dict[str, Any]]:
+    from outrider import relocalise
+
+    return [{"name": name, "reference": relocalise.get(name).reference} for name in relocalise.names()]
+
+
+def _rooms() -> list[dict[str, Any]]:
+    from outrider.relocalise import room as rooms
+
+    walls = [(name, rooms.load(name).wall) for name in rooms.names()]
+    alike = {0: "the same from everywhere round its centre", 1: "not symmetric"}
+    return [
+        {
+            "name": name,
+            "about": f"{wall.perimeter:.1f} m around, {wall.diameter:.1f} m across, "
+            + alike.get(wall.symmetry, f"the same from {wall.symmetry} poses"),
+        }
+        for name, wall in walls
+    ]
 
 
 def _cars() -> list[dict[str, Any]]:

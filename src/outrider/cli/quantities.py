@@ -33,8 +33,22 @@ def listed(text: str, what: str) -> list[float]:
 
 
 def pair(text: str, what: str) -> Span:
-    """Two numbers with a comma: a + b V."""
+    """Two numbers with a comma."""
     parts = listed(text, what)
     if len(parts) != 2:
-        raise InputError(f"{what} {text!r}; want two numbers, A,B for A + B V")
+        raise InputError(f"{what} {text!r}; want two numbers, A,B")
     return parts[0], parts[1]
+
+
+def pairs(given: list[str] | None, option: str) -> dict[str, str]:
+    """Name and value of each NAME=VALUE."""
+    parts = [text.partition("=") for text in given or []]
+    for (name, sep, value), text in zip(parts, given or [], strict=True):
+        if not (name.strip() and sep and value.strip()):
+            raise InputError(f"{option} {text!r}; want name=value")
+    return {name.strip(): value.strip() for name, _, value in parts}
+
+
+def values(given: list[str] | None, option: str) -> dict[str, float]:
+    """Name and number of each NAME=NUMBER."""
+    return {key: number(text, f"{option} {key}") for key, text in pairs(given, option).items()}

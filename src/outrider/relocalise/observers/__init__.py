@@ -1,0 +1,1 @@
+"""Observers of a robot's pose: one file each."""
