@@ -9,6 +9,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+from benchmarks import markdown  # noqa: E402
 from benchmarks.accuracy import driving, methods, peers, pictures, report, sets, table, tune  # noqa: E402
 
 from outrider.compare import estimate, judge  # noqa: E402
@@ -140,9 +141,9 @@ def test_rows_tables_and_picture(name, tmp_path):
         assert figures["velocity_mps"] is not None
     page = tmp_path / "page.md"
     page.write_text("".join(f"<!-- table {block} -->\n<!-- end -->\n" for block in report.BLOCKS))
-    report.write(rows, page)
+    markdown.write(page, rows, report.BLOCKS)
     text = page.read_text()
-    report.write(rows, page)
+    markdown.write(page, rows, report.BLOCKS)
     assert page.read_text() == text
     for row in rows:
         assert report.label(row).split(",")[0] in text

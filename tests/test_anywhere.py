@@ -179,7 +179,9 @@ def test_a_circle_is_refused():
 @pytest.mark.parametrize("name", ["ellipse", "asymmetric"])
 def test_found_although_ranges_are_short_or_missing(name):
     where = room.load(name)
-    drives = simulate.drives(where, motions.spin, 2, seconds=15.0, seed=9, faults=Faults(lost=0.1, short=0.1))
+    drives = simulate.drives(
+        where, motions.spin, 2, seconds=15.0, seed=9, faults=Faults(lost=0.1, short=0.25)
+    )
     for robot in range(2):
         last = searched(where, drives, robot)[-1]
         assert error(where, last.pose[0], drives.truth[-1, robot]) < 0.1

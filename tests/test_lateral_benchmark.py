@@ -1,6 +1,5 @@
 """The validation of lateral velocity: the cars of others are theirs, and the page says what was kept."""
 
-import re
 import sys
 from pathlib import Path
 
@@ -14,6 +13,7 @@ pytest.importorskip("vehiclemodels", reason="the cars of others: uv pip install 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+from benchmarks import markdown  # noqa: E402
 from benchmarks.lateral import cases, commonroad, report, table  # noqa: E402
 
 B = cars.load("b_class")
@@ -52,12 +52,10 @@ def test_in_a_gentle_bend_they_drive_as_the_linear_model_says(kind):
     assert theirs.ay[-1] == pytest.approx(over * theirs.vx[-1] * theirs.yaw_rate[-1], rel=0.01)
 
 
-def test_the_page_says_what_was_kept(kept, tmp_path):
+def test_the_page_says_what_was_kept(kept):
     page = (ROOT / "docs" / "lateral-validation.md").read_text()
-    (tmp_path / "page.md").write_text(page)
-    report.write(kept, tmp_path / "page.md")
-    assert (tmp_path / "page.md").read_text() == page
-    assert set(re.findall(r"<!-- table (\S+) -->", page)) == set(report.BLOCKS)
+    assert markdown.filled(page, kept, report.BLOCKS) == page
+    assert markdown.names(page) == set(report.BLOCKS)
 
 
 def test_what_was_kept_is_whole(kept):

@@ -13,6 +13,7 @@ from pyarrow import parquet as pq
 from outrider import cars, cli, lateral
 from outrider.lateral import log as logs
 from outrider.lateral.log import Log
+from refusals import refused
 
 
 @pytest.fixture(scope="module")
@@ -29,16 +30,6 @@ def drives(tmp_path_factory):
 def command(outrider):
     """Call `outrider lateral` in this process: exit code, stdout, stderr."""
     return lambda *tokens: outrider("lateral", *tokens)
-
-
-def refused(result, *words):
-    """One line on stderr, nothing on stdout, exit code 2."""
-    code, out, err = result
-    assert (code, out) == (2, "")
-    assert err.startswith("outrider: ")
-    for word in words:
-        assert word in err
-    return True
 
 
 def columns(folder):

@@ -1,12 +1,11 @@
 """A car's log: any format and unit gives the same numbers; what is wrong is named, masked and counted."""
 
 import numpy as np
-import pyarrow as pa
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pyarrow import parquet as pq
 
+from made_logs import save
 from outrider import cars
 from outrider.errors import InputError, OutputError
 from outrider.lateral import log as logs
@@ -30,16 +29,6 @@ def weaving(n=2000, dt=0.01):
         "steering": wheelbase * yaw_rate / vx,
         "vy": -0.3 * np.sin(0.8 * t),
     }
-
-
-def save(path, columns):
-    if path.suffix == ".parquet":
-        pq.write_table(pa.table(columns), path)
-    else:
-        rows = np.column_stack(list(columns.values()))
-        lines = [",".join("" if np.isnan(v) else repr(float(v)) for v in row) for row in rows]
-        path.write_text("\n".join([",".join(columns), *lines]) + "\n")
-    return path
 
 
 def same(a, b):

@@ -1,6 +1,5 @@
 """The comparison of observers, search and particle filters: what was kept, the page, and a tiny run of it."""
 
-import re
 import sys
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+from benchmarks import markdown  # noqa: E402
 from benchmarks.relocalise import cases, follow, report, table, tune  # noqa: E402
 
 from outrider.relocalise import motions  # noqa: E402
@@ -28,12 +28,10 @@ def one(kept, part, **what):
     return row
 
 
-def test_the_page_says_what_was_kept(kept, tmp_path):
+def test_the_page_says_what_was_kept(kept):
     page = (ROOT / "docs" / "relocalise-comparison.md").read_text()
-    (tmp_path / "page.md").write_text(page)
-    report.write(kept, tmp_path / "page.md")
-    assert (tmp_path / "page.md").read_text() == page
-    assert set(re.findall(r"<!-- table (\S+) -->", page)) == set(report.BLOCKS)
+    assert markdown.filled(page, kept, report.BLOCKS) == page
+    assert markdown.names(page) == set(report.BLOCKS)
 
 
 def test_what_was_kept_is_whole(kept):

@@ -13,6 +13,7 @@ from outrider import cli, relocalise
 from outrider.relocalise import log as logs
 from outrider.relocalise import motions, run
 from outrider.relocalise import room as rooms
+from refusals import refused
 
 START = "0.6,-0.4,60deg"
 
@@ -31,16 +32,6 @@ def drives(tmp_path_factory):
 def command(outrider):
     """Call `outrider relocalise` in this process: exit code, stdout, stderr."""
     return lambda *tokens: outrider("relocalise", *tokens)
-
-
-def refused(result, *words):
-    """One line on stderr, nothing on stdout, exit code 2."""
-    code, out, err = result
-    assert (code, out) == (2, "")
-    assert err.startswith("outrider: ")
-    for word in words:
-        assert word in err
-    return True
 
 
 def columns(folder):

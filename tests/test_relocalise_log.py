@@ -1,10 +1,9 @@
 """A robot's log: any format and unit gives the same numbers; what is wrong is named, masked and counted."""
 
 import numpy as np
-import pyarrow as pa
 import pytest
-from pyarrow import parquet as pq
 
+from made_logs import save
 from outrider.errors import InputError, OutputError
 from outrider.relocalise import log as logs
 from outrider.relocalise import room as rooms
@@ -27,16 +26,6 @@ def turning(n=200, dt=0.1):
         "y": np.sin(t),
         "theta": np.mod(0.5 * t, 1.0),
     }
-
-
-def save(path, columns):
-    if path.suffix == ".parquet":
-        pq.write_table(pa.table(columns), path)
-    else:
-        rows = np.column_stack(list(columns.values()))
-        lines = [",".join("" if np.isnan(v) else repr(float(v)) for v in row) for row in rows]
-        path.write_text("\n".join([",".join(columns), *lines]) + "\n")
-    return path
 
 
 def without(*names):

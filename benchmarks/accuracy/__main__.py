@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from benchmarks import markdown
 from benchmarks.accuracy import methods, pictures, report, table, tune
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -30,7 +31,7 @@ def main() -> None:
         table.run(names, tasks, given.results, given.workers, given.evaluations, given.seed)
     rows = table.read(given.results)
     if given.results == RESULTS:
-        report.write(rows, ROOT / "docs" / "comparison.md")
+        markdown.write(ROOT / "docs" / "comparison.md", rows, report.BLOCKS)
         pictures.save(rows, ROOT / "docs" / "figures")
 
 

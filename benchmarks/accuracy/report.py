@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
 from typing import Any
 
 from benchmarks.accuracy import methods, table
 from benchmarks.accuracy.methods import Method
 from benchmarks.accuracy.table import Row
+from benchmarks.markdown import grid
 
 SHORT = {
     "datmo/overtakes": "overtakes *",
@@ -43,16 +42,6 @@ COLUMNS: Sequence[tuple[str, str, str]] = (
     ("outside", "outside", ".0%"),
     ("beyond", "beyond", ".0%"),
 )
-
-
-def write(rows: Sequence[Row], path: Path) -> None:
-    """Every block `<!-- table NAME -->` ... `<!-- end -->` of the page, made anew."""
-    page = path.read_text()
-
-    def made(match: re.Match[str]) -> str:
-        return f"<!-- table {match[1]} -->\n\n{BLOCKS[match[1]](rows)}\n\n<!-- end -->"
-
-    path.write_text(re.sub(r"<!-- table (\S+) -->.*?<!-- end -->", made, page, flags=re.DOTALL))
 
 
 def label(row: Row) -> str:
@@ -90,12 +79,6 @@ def chosen(rows: Iterable[Row], name: str) -> dict[str, dict[int, float]]:
     for (method, kind), (_, J) in best.items():
         out.setdefault(method, {})[kind] = J
     return out
-
-
-def grid(head: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
-    """A Markdown table."""
-    every = [head, ["---"] * len(head), *lines]
-    return "\n".join("| " + " | ".join(line) + " |" for line in every)
 
 
 def shown(value: Any, form: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from benchmarks import markdown
 from benchmarks.lateral import pictures, report, table
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -20,7 +21,8 @@ def main() -> None:
     if not given.write:
         table.run(given.results)
     if given.results == RESULTS:
-        report.write(table.read(given.results), ROOT / "docs" / "lateral-validation.md")
+        page = ROOT / "docs" / "lateral-validation.md"
+        markdown.write(page, table.read(given.results), report.BLOCKS)
         if not given.write:
             pictures.save(ROOT / "docs" / "figures")
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from benchmarks.lateral import cases
 from benchmarks.lateral.table import Row
+from benchmarks.markdown import grid
 
 SHOWN = {"own": "own", "drift": "drift", "multibody": "multi-body"}
 MAIN = ("dry", "friction 0.5", "D class")
@@ -24,22 +23,6 @@ PAIRS = (  # labels: the first is expected to be better
     ("`tyre`, friction 1", "`scheduled`"),
     ("`friction_bank`", "`kalman`"),
 )
-
-
-def write(kept: dict[str, Any], path: Path) -> None:
-    """Every block `<!-- table NAME -->` ... `<!-- end -->` of the page, made anew."""
-    page = path.read_text()
-
-    def made(match: re.Match[str]) -> str:
-        return f"<!-- table {match[1]} -->\n\n{BLOCKS[match[1]](kept)}\n\n<!-- end -->"
-
-    path.write_text(re.sub(r"<!-- table (\S+) -->.*?<!-- end -->", made, page, flags=re.DOTALL))
-
-
-def grid(head: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
-    """A Markdown table."""
-    every = [head, ["---"] * len(head), *lines]
-    return "\n".join("| " + " | ".join(line) + " |" for line in every)
 
 
 def rows(kept: dict[str, Any], **what: Any) -> list[Row]:

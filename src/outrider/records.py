@@ -3,7 +3,7 @@
 Frames: S sensor, B the rider's body (x forward, y left, origin where the ego pose is measured), W fixed.
 The letter before an underscore names the frame a quantity is expressed in.
 
-Two groups: what a recording holds (`LaserScan`, `Pose`), as the driver wrote it, nothing repaired;
+Two groups: what a sensor or a recording gives (`LaserScan`, `Pose`, `Turn`, `Raw`, `Trouble`), not repaired;
 and what the pipeline makes of it (`Scan`, `Detections`, `Tracks`, `Threats`, `Alerts`, `Frame`).
 """
 
@@ -61,6 +61,36 @@ class Pose:
         x, y, z, w = self.quaternion
         yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
         return np.array([self.position[0], self.position[1], yaw])
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """One turn of a live scanner, beam by beam in the order of time; nothing but lost beams is left out."""
+
+    beam_t: Array  # (n,) time of each beam, clock of the host [s]
+    angle: Array  # (n,) in S, counter-clockwise [rad]
+    range: Float32s  # (n,) [m]; 0: no return
+    quality: Float32s  # (n,) strength of the return, in the sensor's own unit
+    range_min: float  # [m]
+    range_max: float  # [m]
+    received: float  # when its last byte came, clock of the host [s]
+    faults: tuple[str, ...]  # what was lost or mended on the way, in words
+
+
+@dataclass(frozen=True, slots=True)
+class Raw:
+    """Bytes as they came from a live sensor; for those who record."""
+
+    received: float  # clock of the host [s]
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Trouble:
+    """What keeps a live sensor from giving turns, from now on."""
+
+    t: float  # clock of the host [s]
+    words: str  # one line: what is wrong, and what to do where somebody can do something
 
 
 # ------------------------------------------------------------------ what the pipeline makes of it

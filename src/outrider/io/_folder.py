@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+import msgspec
 
 from outrider.errors import InputError, OutputError
 
@@ -38,3 +41,14 @@ def prepare(folder: Path, force: bool = False) -> None:
             raise InputError(
                 f"{folder}: not empty; name another folder or use --force to replace its results"
             )
+
+
+def describe(
+    folder: Path, summary: Mapping[str, Any], settings: Mapping[str, Any], gains: Mapping[str, float]
+) -> None:
+    """Write summary.json, and settings.toml with the gains below the rest; OutputError where it cannot be."""
+    lines = [f"{key} = {msgspec.json.encode(value).decode()}" for key, value in settings.items()]
+    lines += ["", "[gains]", *(f"{key} = {float(value)!r}" for key, value in gains.items())]
+    with writing(folder):
+        (folder / "summary.json").write_bytes(msgspec.json.format(msgspec.json.encode(summary)) + b"\n")
+        (folder / "settings.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -17,9 +17,10 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from zstandard import ZstdError
 
-from outrider.io._foxglove import log, nanoseconds, points, scene, transforms
+from outrider.io._foxglove import log, points, scene, transforms
 from outrider.io._run_rows import alert_row, tracks_columns
 from outrider.io._run_tables import SCHEMAS
+from outrider.io._scene import nanoseconds
 from outrider.records import Frame, Level
 from outrider.settings import Settings
 

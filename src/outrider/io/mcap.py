@@ -104,6 +104,15 @@ def open_mcap(path: Path) -> Recording:
     )
 
 
+def messages_of(path: Path, topic: str) -> Iterator[tuple[int, bytes]]:
+    """Log time [ns] and bytes of all messages of one topic, in order of time, also of a file that was cut."""
+    with path.open("rb") as file:
+        index = _summary(file) or _search(file)
+        used = {key: channel for key, channel in index.channels.items() if channel.topic == topic}
+        for record in _in_order(file, index.blocks, used):
+            yield record.log_time, record.data
+
+
 def _bodies(file: BinaryIO, index: _Index) -> frozenset[int]:
     """Channels of markers that outrider wrote for poses with an extent; told by their first message."""
     asked = {

@@ -136,24 +136,14 @@ def save(made: Run, folder: Path | str, force: bool = False, about: Mapping[str,
     OutputError where the file system refuses.
     """
     from outrider.io import _log_table
-    from outrider.io._folder import prepare, writing
+    from outrider.io._folder import describe, prepare
 
     folder = Path(folder)
     prepare(folder, force)
     _log_table.write(folder / "estimate.parquet", made.columns())
     cars.save(made.car, folder / "car.toml")
-    settings = {"version": __version__, **(about or {}), "estimator": made.estimator, "car": "car.toml"}
-    with writing(folder):
-        (folder / "summary.json").write_bytes(
-            msgspec.json.format(msgspec.json.encode(made.summary())) + b"\n"
-        )
-        lines = [f"{key} = {_toml(value)}" for key, value in settings.items()]
-        lines += ["", "[gains]", *(f"{key} = {value!r}" for key, value in made.gains._asdict().items())]
-        (folder / "settings.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def _toml(value: Any) -> str:
-    return msgspec.json.encode(value).decode()
+    told = {"version": __version__, **(about or {}), "estimator": made.estimator, "car": "car.toml"}
+    describe(folder, made.summary(), told, made.gains._asdict())
 
 
 def _spread(values: Array) -> dict[str, float] | None:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -182,7 +181,7 @@ def save(made: Run, folder: Path | str, force: bool = False, about: Mapping[str,
     OutputError where the file system refuses.
     """
     from outrider.io import _log_table
-    from outrider.io._folder import prepare, writing
+    from outrider.io._folder import describe, prepare
 
     folder = Path(folder)
     prepare(folder, force)
@@ -190,20 +189,8 @@ def save(made: Run, folder: Path | str, force: bool = False, about: Mapping[str,
     _log_table.write(folder / "hypotheses.parquet", made.hypotheses())
     rooms.save(made.room, folder / "room.toml")
     begun = {"anywhere": True} if made.start is None else {"start": made.start.tolist()}
-    settings = {
-        "version": __version__,
-        **(about or {}),
-        "room": "room.toml",
-        "observer": made.observer,
-        **begun,
-    }
-    with writing(folder):
-        summary = msgspec.json.format(msgspec.json.encode(made.summary()))
-        (folder / "summary.json").write_bytes(summary + b"\n")
-        lines = [f"{key} = {msgspec.json.encode(value).decode()}" for key, value in settings.items()]
-        lines += ["", "[gains]"]
-        lines += [f"{key} = {float(value)!r}" for key, value in made.gains._asdict().items()]
-        (folder / "settings.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    told = {"version": __version__, **(about or {}), "room": "room.toml", "observer": made.observer, **begun}
+    describe(folder, made.summary(), told, made.gains._asdict())
 
 
 def _gains(observer: Observer, given: Mapping[str, float], log: Log, room: Room, dt: float) -> Any:

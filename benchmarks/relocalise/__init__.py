@@ -1,0 +1,1 @@
+"""Where a robot is between walls: every observer, the search and particle filters on the same drives."""
