@@ -24,7 +24,7 @@ SYNC = UV_PYTHON_DOWNLOADS=never UV_NO_PROGRESS=1 $(BIN)/uv sync --quiet --froze
 
 CHECKS = pytest pytest-second lint types docs
 
-.PHONY: help demo test lint types docs pytest pytest-second bench accuracy lock clean
+.PHONY: help demo test lint types docs pytest pytest-second bench accuracy soak lock clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 16
@@ -62,6 +62,9 @@ bench: $(FULL)  ## speed, beside peers; keeps JSON under benchmarks/results/
 
 accuracy: $(FULL)  ## tune and judge all observers and peers on real tracks below OUTRIDER_DATA; 25 min
 	$(BIN)/python -m benchmarks.accuracy
+
+soak: $(FULL)  ## a day of live scans with all faults, at full speed; 30 to 60 min; SOAK='--scans 20000' for less
+	$(BIN)/python -m benchmarks.soak $(SOAK)
 
 lock: $(FULL)  ## resolve the versions of uv.lock anew
 	$(BIN)/uv lock --upgrade --default-index https://pypi.org/simple

@@ -13,10 +13,12 @@ import pytest
 
 from outrider import cli, datasets, io, observers, simulate
 from outrider.io.run import open_run
+from refusals import refused
 
 COMMANDS = (
     *("demo", "track", "info", "convert", "simulate", "evaluate", "compare"),
-    *("design", "certify", "reproduce", "lateral", "ls", "cite"),
+    *("design", "certify", "reproduce", "lateral", "relocalise", "ls", "cite"),
+    *("live", "emulate", "view"),
 )
 HEAD_ON = """
 title = "A car comes straight at a standing rider"
@@ -35,16 +37,6 @@ def made(tmp_path_factory):
     assert cli.run(["simulate", str(folder / "head_on.toml"), "-o", str(folder / "rec.mcap")]) == 0
     assert cli.run(["track", str(folder / "rec.mcap"), "-o", str(folder / "run")]) == 0
     return folder
-
-
-def refused(result, *words):
-    """One line on stderr, nothing on stdout, exit code 2."""
-    code, out, err = result
-    assert (code, out) == (2, "")
-    assert err.startswith("outrider: ")
-    for word in words:
-        assert word in err
-    return True
 
 
 # ------------------------------------------------------------------ help
@@ -260,7 +252,10 @@ def test_evaluate_wants_a_run_folder(outrider, tmp_path):
     assert refused(outrider("evaluate", tmp_path), "settings.toml")
 
 
-@pytest.mark.parametrize("what", ["scenarios", "observers", "estimators", "cars", "datasets", "formats"])
+@pytest.mark.parametrize(
+    "what",
+    ["scenarios", "observers", "estimators", "relocalisers", "rooms", "cars", "datasets", "formats"],
+)
 def test_ls(outrider, what):
     told = json.loads(outrider("ls", what, "--json")[1])
     assert list(told) == [what]
@@ -271,7 +266,7 @@ def test_ls(outrider, what):
 def test_cite(outrider):
     every = outrider("cite", *datasets.names())[1]
     entries = re.findall(r"^@(\w+)\{(\w+),$", every, flags=re.M)
-    assert len(entries) == len({key for _, key in entries}) == 9
+    assert len(entries) == len({key for _, key in entries}) == 10
     assert every.count("{") == every.count("}")
     assert len(outrider("cite")[1]) < len(every)
     assert refused(outrider("cite", "kiti"), "kitti0000")

@@ -15,7 +15,8 @@ from outrider.errors import InputError
 from outrider.records import Alert, Array, Bools, Ints, Level, Scan, Threats, Tracks, TrackState
 
 NEVER = -np.inf
-UNTRUSTED = ("ego pose stale", "ego pose frozen", "no ego pose")  # faults of a scan that degrade the warning
+# Faults of a scan that degrade the warning.
+UNTRUSTED = ("ego pose stale", "ego pose frozen", "no ego pose", "lost on the way")
 
 
 class Run(NamedTuple):

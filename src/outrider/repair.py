@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +27,8 @@ NO_STAMP = "no header stamp"
 SCAN_TIME = "scan_time repaired"
 TIME_INCREMENT = "time_increment repaired"
 ORDER = "order of the beams"
+LOST = "lost on the way"
+FORGOTTEN = "all before forgotten"
 POSE_MISSING = "no ego pose yet"
 POSE_BEGINS = "ego pose begins"
 POSE_STALE = "ego pose stale"
@@ -32,6 +36,7 @@ POSE_FROZEN = "ego pose frozen"
 KINDS = (
     *(BACK, GAP, SKIPPED, NO_BEAMS, NO_RETURN, BAD_ANGLES, LIMITS, INTENSITIES, NO_STAMP),
     *(SCAN_TIME, TIME_INCREMENT, ORDER, POSE_MISSING, POSE_BEGINS, POSE_STALE, POSE_FROZEN),
+    *(LOST, FORGOTTEN),  # of a live sensor alone
 )
 TOLD_ONCE = (NO_STAMP, SCAN_TIME, TIME_INCREMENT, ORDER, LIMITS)  # of the driver, not of the moment
 
@@ -43,7 +48,7 @@ def kind(fault: str) -> str:
 
 def restarts(scan: Scan) -> bool:
     """Whether all memory from before this scan must be dropped: the clock or the fixed frame is another."""
-    return any(f.startswith((BACK, POSE_BEGINS)) for f in scan.faults)
+    return any(f.startswith((BACK, POSE_BEGINS, FORGOTTEN)) for f in scan.faults)
 
 
 def mask(ranges: Float32s, range_min: float, range_max: float) -> tuple[Bools, dict[str, int]]:
@@ -63,6 +68,19 @@ def mask(ranges: Float32s, range_min: float, range_max: float) -> tuple[Bools, d
     return valid, {reason: count for reason, count in counts.items() if count}
 
 
+class Beams(NamedTuple):
+    """What a sensor says of one turn, each beam with its own time; lengths in the recording's metres."""
+
+    begin: float  # when the turn began, as far as is known without beams [s]
+    t: float  # time of the last beam in time [s]
+    beam_t: Array  # (n,) [s]
+    angle: Array | None  # (n,) in S [rad]; None where it cannot be used
+    ranges: Float32s  # (n,) [m]
+    intensities: Float32s  # (n,), or any other length where there are none
+    range_min: float  # [m]
+    range_max: float  # [m]
+
+
 def repair(raw: LaserScan, timing: BeamTiming, ego: EgoBuffer | None, settings: Settings) -> Scan:
     """One raw scan made ready: masked, scaled, every beam at its own time in W.
 
@@ -70,22 +88,31 @@ def repair(raw: LaserScan, timing: BeamTiming, ego: EgoBuffer | None, settings: 
     what was wrong is in Scan.masked and Scan.faults.
     """
     faults: list[str] = [f"{NO_STAMP}: receive time taken"] if raw.stamp_ns == 0 else []
-    n, stamp, scale = len(raw.ranges), scan_stamp_s(raw), settings.recording.scale
-    angle, usable = _angles(raw, faults)
-    low, high = _limits(raw, settings, faults)
-    valid, masked = mask(raw.ranges, low, high) if usable else (np.zeros(n, bool), {"no_angle": n})
-    if not valid.any():
-        faults.append(NO_RETURN if n else NO_BEAMS)
-    distance = np.where(valid, scale * raw.ranges.astype(float), np.nan)
+    n, stamp = len(raw.ranges), scan_stamp_s(raw)
+    angle = _angles(raw, faults)
+    limits = _limits(raw, settings, faults)
     t, beam_t = timing.end(stamp, n), timing.beam_t(stamp, n)
-    body, W_body = _body(t, beam_t, ego)
-    W_sensor = np.array(np.broadcast_to(_mounted(W_body, settings), (n, 3)))
+    return place(Beams(stamp, t, beam_t, angle, raw.ranges, raw.intensities, *limits), ego, settings, faults)
+
+
+def place(beams: Beams, ego: EgoBuffer | None, settings: Settings, faults: Sequence[str] = ()) -> Scan:
+    """Beams masked, scaled and put where they were in W; `ego` as for `repair`, `faults` known before."""
+    told, n, scale = list(faults), len(beams.ranges), settings.recording.scale
+    if beams.angle is None:
+        angle, valid, masked = np.zeros(n), np.zeros(n, bool), {"no_angle": n}
+    else:
+        angle, (valid, masked) = beams.angle, mask(beams.ranges, beams.range_min, beams.range_max)
+    if not valid.any():
+        told.append(NO_RETURN if n else NO_BEAMS)
+    distance = np.where(valid, scale * beams.ranges.astype(float), np.nan)
+    body, W_body = _body(beams.t, beams.beam_t, ego)
+    W_sensor = np.array(np.broadcast_to(_mounted(W_body, settings), (n, 3)), order="C")
     W_p = W_sensor[:, :2] + polar(distance, angle + W_sensor[:, 2])
-    intensity = _intensity(raw, faults)
+    intensity = _intensity(beams, told)
     if ego is not None:
-        faults += _pose_faults(ego, stamp, t, beam_t)
-    seen = (t, beam_t, angle, distance, valid, intensity, scale * high)
-    return Scan(*seen, W_sensor, W_p, body, masked, tuple(faults))
+        told += _pose_faults(ego, beams.begin, beams.t, beams.beam_t)
+    seen = (beams.t, beams.beam_t, angle, distance, valid, intensity, scale * beams.range_max)
+    return Scan(*seen, W_sensor, W_p, body, masked, tuple(told))
 
 
 def polar(distance: Array, bearing: Array) -> Array:
@@ -96,14 +123,14 @@ def polar(distance: Array, bearing: Array) -> Array:
     return p
 
 
-def _angles(raw: LaserScan, faults: list[str]) -> tuple[Array, bool]:
-    """Angles (n,) of the beams in S [rad] and whether they can be used; zeros where they cannot."""
+def _angles(raw: LaserScan, faults: list[str]) -> Array | None:
+    """Angles (n,) of the beams in S [rad]; None where they cannot be used."""
     n = len(raw.ranges)
     finite = math.isfinite(raw.angle_min) and math.isfinite(raw.angle_increment)
     if n and (not finite or (raw.angle_increment == 0.0 and n > 1)):
         faults.append(f"{BAD_ANGLES}: angle_min {raw.angle_min:g}, angle_increment {raw.angle_increment:g}")
-        return np.zeros(n), False
-    return raw.angle_min + raw.angle_increment * np.arange(n, dtype=np.float64), True
+        return None
+    return raw.angle_min + raw.angle_increment * np.arange(n, dtype=np.float64)
 
 
 def _limits(raw: LaserScan, settings: Settings, faults: list[str]) -> tuple[float, float]:
@@ -119,12 +146,12 @@ def _limits(raw: LaserScan, settings: Settings, faults: list[str]) -> tuple[floa
     return low, high
 
 
-def _intensity(raw: LaserScan, faults: list[str]) -> Float32s:
+def _intensity(beams: Beams, faults: list[str]) -> Float32s:
     """Intensities (n,), or (0,) where there are none or not one a beam."""
-    if len(raw.intensities) in (0, len(raw.ranges)):
-        return raw.intensities
-    faults.append(f"{INTENSITIES}: {len(raw.intensities)} for {len(raw.ranges)} beams")
-    return raw.intensities[:0]
+    if len(beams.intensities) in (0, len(beams.ranges)):
+        return beams.intensities
+    faults.append(f"{INTENSITIES}: {len(beams.intensities)} for {len(beams.ranges)} beams")
+    return beams.intensities[:0]
 
 
 def _body(t: float, beam_t: Array, ego: EgoBuffer | None) -> tuple[Ego, Array]:

@@ -11,12 +11,16 @@ from outrider.cli.certify import certify
 from outrider.cli.compare import compare
 from outrider.cli.demo import demo
 from outrider.cli.design import design
+from outrider.cli.emulate import emulate
 from outrider.cli.evaluate import evaluate
 from outrider.cli.lateral import lateral
+from outrider.cli.live import live
 from outrider.cli.names import cite, ls
 from outrider.cli.recordings import convert, info, simulate
+from outrider.cli.relocalise import relocalise
 from outrider.cli.reproduce import reproduce
 from outrider.cli.track import track
+from outrider.cli.view import view
 from outrider.errors import OutriderError
 
 STOPPED, CLOSED = 130, 141  # exit codes after Ctrl-C, and where the reader of a pipe went away
@@ -24,7 +28,7 @@ STOPPED, CLOSED = 130, 141  # exit codes after Ctrl-C, and where the reader of a
 app = App(
     name="outrider",
     help="Raw 2D lidar scans in; tracked vehicles, times to collision and warnings out. "
-    "And a car's lateral velocity, from its own sensors.",
+    "And a car's lateral velocity, and where a robot is between walls, from their own sensors.",
     version=__version__,
     suppress_keyboard_interrupt=False,
 )
@@ -40,6 +44,10 @@ for _command in (
     certify,
     reproduce,
     lateral,
+    relocalise,
+    live,
+    emulate,
+    view,
     ls,
     cite,
 ):

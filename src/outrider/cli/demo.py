@@ -79,13 +79,13 @@ class Teller:
         now = (int(alert.level), alert.track)
         if now != self._before:
             print(
-                f"{frame.t - self._start:6.1f} s  {alert.level.name.lower():<8} {_about(frame)}".rstrip(),
+                f"{frame.t - self._start:6.1f} s  {alert.level.name.lower():<8} {about(frame)}".rstrip(),
                 flush=True,
             )
         self._before = now
 
 
-def _about(frame: "Frame") -> str:
+def about(frame: "Frame") -> str:
     """Which track an alert is about, where it is as the rider sees it, and how long until contact."""
     import numpy as np
 
