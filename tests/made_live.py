@@ -55,7 +55,7 @@ class Fed:
             put(event)
             self.about["counts"]["fed"] += 1
             if not isinstance(event, Trouble):
-                self.taken.acquire(timeout=10.0)
+                self.taken.acquire(timeout=60.0)  # the engine may have to compile
             if self._over.is_set():
                 break
         self.finished = True

@@ -69,9 +69,9 @@ def both(case):
 
 @pytest.fixture(scope="module")
 def seen():
-    """By case, all at the same time."""
+    """By case, some at the same time."""
     pytest.importorskip("pyrplidarsdk", reason="the maker's SDK has no wheel for this Python")
-    with ThreadPoolExecutor(len(CASES)) as pool:
+    with ThreadPoolExecutor(3) as pool:
         return dict(zip(CASES, pool.map(both, CASES), strict=True))
 
 
@@ -98,8 +98,9 @@ def test_the_makers_reader_sees_what_there_is(seen, model, mode):
     assert theirs["model"] == MODELS[model].model
     sample_us = with_all_answers(MODELS[model]).modes[MODES.index(mode)].sample_us
     errors = []
+    beams = max(len(angle) for angle, _, _ in theirs["turns"])  # their reader drops some where it is held up
+    assert beams == pytest.approx(1e5 / sample_us, rel=0.02)
     for angle, ranges, quality in theirs["turns"]:
-        assert len(angle) == pytest.approx(1e5 / sample_us, rel=0.02)
         clockwise, ranges = np.array(angle), np.array(ranges)
         assert np.count_nonzero(ranges) > 0.98 * len(ranges)
         assert np.all(np.array(quality)[ranges > 0.0] > 0.0)
@@ -130,7 +131,8 @@ def test_our_reader_sees_exactly_what_was_sent(seen, model, mode):
 
 def test_both_readers_see_the_same_beams(seen):
     for case, (theirs, _, ours, _) in seen.items():
-        clockwise, ranges, _ = (np.array(column) for column in theirs["turns"][-1])
+        fullest = max(theirs["turns"], key=lambda turn: len(turn[0]))
+        clockwise, ranges, _ = (np.array(column) for column in fullest)
         angle = np.mod(-clockwise, 2.0 * np.pi)
         order = np.argsort(np.mod(ours[-1].angle, 2.0 * np.pi))
         mine, metres = np.mod(ours[-1].angle, 2.0 * np.pi)[order], ours[-1].range[order]

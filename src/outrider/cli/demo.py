@@ -189,6 +189,7 @@ def _next_steps(recording: Path, run: "Run", pictures: bool) -> None:
         (f"{folder}/scene.png", "the scene from above")
         if pictures
         else (f"{folder}/tracks.parquet", "the tracks"),
+        (f"outrider view {folder}", "the run in the browser, with a time slider"),
         (f"{folder}/run.mcap", "opens in Foxglove"),
         (f"outrider evaluate {folder}", "how far off the tracks are"),
         (f"outrider info {recording}", "what is in the recording"),

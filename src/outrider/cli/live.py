@@ -29,6 +29,9 @@ def live(
     settings: Path | None = None,
     set_: Annotated[list[str] | None, Parameter("--set", negative=())] = None,
     record: Path | None = None,
+    record_size_mb: float = 1000.0,
+    record_minutes: float = 60.0,
+    record_floor_mb: float = 500.0,
     page: Annotated[bool | str, Parameter(negative=())] = False,
     page_token: str = "",
     horn: str = "none",
@@ -55,6 +58,12 @@ def live(
         One setting as section.key=value, over the file; may be repeated.
     record
         Keep everything in this MCAP file, also what the lidar said byte by byte.
+    record_size_mb
+        A file that is larger is followed by the next one.
+    record_minutes
+        So is one that is older.
+    record_floor_mb
+        With less room left on the disk nothing is recorded.
     page
         Show it in a browser: at 127.0.0.1:8642, or at HOST:PORT where that is given.
     page_token
@@ -77,7 +86,8 @@ def live(
 
     changes = [*(set_ or []), *([f'observer.name="{observer}"'] if observer else [])]
     source, used, pace = _source(port, mode, settings, changes, replay, speed)
-    wanted = _sinks(used, source, page, page_token, horn, lines, record, force)
+    bounds = {"size_mb": record_size_mb, "minutes": record_minutes, "floor_mb": record_floor_mb}
+    wanted = _sinks(used, source, page, page_token, horn, lines, record, {**bounds, "force": force})
     with ExitStack() as made, _asked_to_stop() as stop:
         sinks: list[Sink] = []
         for sink in wanted:
@@ -135,7 +145,7 @@ def _sinks(
     horn: str,
     lines: str | None,
     record: Path | None,
-    force: bool,
+    recording: dict[str, Any],
 ) -> "Iterator[Sink]":
     """Whoever was asked for, the most urgent first; those made stay open where a later one cannot be."""
     from outrider.live.sounders import sounder
@@ -157,7 +167,7 @@ def _sinks(
     if record is not None:
         from outrider.live.record import Recorder
 
-        yield Recorder(record, used, lambda: source.about, force=force)
+        yield Recorder(record, used, lambda: source.about, **recording)
 
 
 @contextmanager

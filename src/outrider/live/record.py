@@ -13,12 +13,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from outrider.errors import InputError
 from outrider.io._live_mcap import LiveFile, checked_new
 from outrider.live import Health, Raw, Shot
 from outrider.live.clock import now
 from outrider.settings import Settings
 
-SYNC_S = 0.5  # what the loss of power costs at most, but for what the card itself holds back
+SYNC_S = 0.3  # what the loss of power costs at most, but for what the card itself holds back
 WAITING = 2000  # frames and pieces of bytes that wait for the disk; of more, the oldest are dropped
 MB = 1_000_000
 LOOK_S = 5.0  # between two looks at a disk that was full
@@ -29,7 +30,8 @@ class Recorder:
 
     size_mb, minutes: of one file at most. floor_mb: with less room on the disk nothing is written; the
     report says so, and recording goes on in a new file when there is half as much again. about: what the
-    sensor is, asked for when a file begins. Raises InputError where `path` may not be written.
+    sensor is, asked for when a file begins. Raises InputError where `path` may not be written, or a bound
+    cannot be.
     """
 
     def __init__(
@@ -43,6 +45,11 @@ class Recorder:
         floor_mb: float = 500.0,
         force: bool = False,
     ) -> None:
+        for name, value in (("size_mb", size_mb), ("minutes", minutes)):
+            if not value > 0.0:
+                raise InputError(f"record {name} = {value:g}; want more than 0")
+        if not floor_mb >= 0.0:
+            raise InputError(f"record floor_mb = {floor_mb:g}; want 0 or more")
         self._path = checked_new(Path(path), force)
         self._settings, self._about = settings, about
         self._size, self._seconds, self._floor = size_mb * MB, 60.0 * minutes, floor_mb * MB

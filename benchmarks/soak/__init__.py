@@ -1,0 +1,1 @@
+"""A day of scans at full speed through decoder, tracker and alert, with everything going wrong in turn."""
