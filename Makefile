@@ -42,18 +42,20 @@ lint: $(FULL)  ## layout and lint
 types: $(FULL)  ## static types, strict
 	$(BIN)/mypy
 
-docs: $(FULL)  ## build the pages into site/, a warning is an error
+docs: $(FULL)  ## build the pages into site/, the pictures of the live page anew; a warning is an error
 	NO_COLOR=1 $(BIN)/zensical build --clean --strict
+	@if [ -n "$${OUTRIDER_CHROMIUM:-$$(command -v chromium)}" ]; then $(BIN)/python docs/figures/page.py site/figures; \
+	  else echo 'no Chromium: the pictures of the page are those that were kept'; fi
 
 pytest: $(FULL)  ## the tests alone
 	$(BIN)/python -m pytest -rs
 
-pytest-second: $(FULL)  ## the tests without recordings on a second Python, where there is one
+pytest-second: $(FULL)  ## the tests of the code, without recordings, on a second Python, where there is one
 	@if [ -z "$(PYTHON2ND)" ]; then echo 'no second Python of 3.11 to 3.14 found: skipped'; else \
 	  set -e; p=$(PYTHON2ND); env=.venv-$$($$p -c 'import sys; print("%d.%d" % sys.version_info[:2])'); \
 	  [ -x $$env/bin/python ] || $$p -m venv $$env; \
 	  UV_PROJECT_ENVIRONMENT=$$env $(SYNC) --extra test --python $$env/bin/python; \
-	  $$env/bin/python --version; OUTRIDER_DATA= $$env/bin/python -m pytest; fi
+	  $$env/bin/python --version; OUTRIDER_DATA= $$env/bin/python -m pytest -m "not once"; fi
 
 bench: $(FULL)  ## speed, beside peers; keeps JSON under benchmarks/results/
 	@mkdir -p benchmarks/results

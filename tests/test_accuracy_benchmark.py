@@ -17,6 +17,8 @@ from outrider.errors import InputError  # noqa: E402
 from outrider.geometry import wrap  # noqa: E402
 from outrider.observers import ekf  # noqa: E402
 
+pytestmark = pytest.mark.once
+
 
 def short(series, n=40):
     """The first n samples."""

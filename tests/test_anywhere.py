@@ -11,6 +11,8 @@ from outrider.relocalise.outline import Polygon
 from outrider.relocalise.seeds import matches, seeds
 from outrider.relocalise.simulate import Faults
 
+pytestmark = pytest.mark.once
+
 NONE = np.full(2, np.nan)
 PAIRS = [(60.0, -60.0), (90.0, -90.0), (20.0, -30.0), (0.0, 90.0)]
 WALLS = ["ellipse", "asymmetric", "rectangle"]

@@ -18,6 +18,8 @@ from outrider.models import bicycle
 from outrider.observers import Measurement, constant_velocity, ekf, high_gain, multi_stage
 from outrider.observers.multi_stage import L_BETA, L_PSI, NOMINAL
 
+pytestmark = pytest.mark.once
+
 PAGE = Path(__file__).parents[1] / "docs" / "errata.md"
 Array = np.ndarray
 

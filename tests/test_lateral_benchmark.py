@@ -16,6 +16,8 @@ sys.path.insert(0, str(ROOT))
 from benchmarks import markdown  # noqa: E402
 from benchmarks.lateral import cases, commonroad, report, table  # noqa: E402
 
+pytestmark = pytest.mark.once
+
 B = cars.load("b_class")
 
 

@@ -10,6 +10,8 @@ from outrider import cars, lateral
 from outrider.lateral import course, plant
 from outrider.models.single_track import linear, sampled
 
+pytestmark = pytest.mark.once
+
 CAR = cars.load("b_class")
 PAGE = (Path(__file__).parents[1] / "docs" / "lateral.md").read_text()
 C = np.array([[0.0, 1.0]])

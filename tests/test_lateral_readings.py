@@ -7,6 +7,8 @@ from outrider import cars, lateral
 from outrider.lateral import course, plant, tune
 from outrider.lateral.log import Log
 
+pytestmark = pytest.mark.once
+
 B, D = cars.load("b_class"), cars.load("d_class")
 DRIVES = ((B, 1.0), (B, 0.5), (D, 1.0))
 

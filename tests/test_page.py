@@ -36,6 +36,8 @@ from outrider.records import Level, TrackState
 from outrider.scan import ScanStream
 from outrider.settings import Settings, override
 
+pytestmark = pytest.mark.once
+
 FLAGS = (
     *("--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update"),
     *("--disable-sync", "--no-first-run", "--mute-audio"),

@@ -10,6 +10,8 @@ from outrider.errors import InputError
 from outrider.relocalise import Sample, motions, particle, room, simulate
 from outrider.relocalise.particle import Cloud, Gains, ParticleFilter
 
+pytestmark = pytest.mark.once
+
 NONE = np.full(2, np.nan)
 
 

@@ -10,6 +10,8 @@ from outrider.lateral import course, plant
 from outrider.lateral.plant import Asked, Drive, Noise, Road, State, World
 from outrider.models import single_track
 
+pytestmark = pytest.mark.once
+
 B = cars.load("b_class")
 TURN = course.Course(1.0, np.full(600, 1.0 / 40.0), np.zeros(600), np.zeros(600))
 

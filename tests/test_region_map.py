@@ -9,6 +9,8 @@ from outrider import family, plots_design
 from outrider.design import region
 from outrider.errors import InputError, NotCertified, OutputError
 
+pytestmark = pytest.mark.once
+
 GAINS = region.shipped()
 PUBLISHED, OURS = GAINS["published"], GAINS["ours"]
 PRINTED = (78.83, 914.6, -2215.8)  # what the K printed beside it would give

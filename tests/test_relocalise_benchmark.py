@@ -14,6 +14,8 @@ from benchmarks.relocalise import cases, follow, report, table, tune  # noqa: E4
 
 from outrider.relocalise import motions  # noqa: E402
 
+pytestmark = pytest.mark.once
+
 SMALL = {"ks": np.array([1.0, 10.0]), "ka": np.array([0.01, 0.1])}
 
 

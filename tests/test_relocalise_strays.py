@@ -11,6 +11,8 @@ from outrider.relocalise.follow import TRACKING
 from outrider.relocalise.log import checked
 from outrider.relocalise.run import run
 
+pytestmark = pytest.mark.once
+
 DT, ROWS = 0.1, 230
 CLEAN = rooms.load("asymmetric")._replace(sigma=0.03)
 TOLD = CLEAN._replace(strays=0.4)

@@ -25,6 +25,8 @@ from outrider.reproduce import (
 )
 from outrider.reproduce.section import Claim, Section, Table, verdict
 
+pytestmark = pytest.mark.once
+
 # RMSE with a yaw 0.36 rad off, 5 s, 1 kHz, computed independently: (case, high-gain and multi-stage, column).
 KNOWN = np.array(
     [

@@ -17,6 +17,8 @@ from outrider.reproduce import experiments
 from outrider.reproduce.experiment_claims import HIGH, HIGH_GAIN, LOW, MULTI, OURS
 from outrider.reproduce.experiment_runs import INPUTS, LABELS, NOISES, NUMBERS, THETAS, Score, Track
 
+pytestmark = pytest.mark.once
+
 
 @pytest.fixture(scope="module")
 def section():

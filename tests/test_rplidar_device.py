@@ -25,6 +25,8 @@ from outrider.rplidar.models import MODELS, Mode
 from outrider.rplidar.ports import Listed, Setback
 from outrider.rplidar.protocol import SHORT_REPLY_MAX
 
+pytestmark = pytest.mark.once
+
 BACK_S = 2.0  # good turns are back so soon after good data
 CP210X = (0x10C4, 0xEA60)
 

@@ -16,6 +16,8 @@ from outrider.rplidar.device import Device
 from outrider.rplidar.models import MODELS
 from outrider.rplidar.protocol import Answer
 
+pytestmark = pytest.mark.once
+
 MODES = ("Standard", "Express", "Dense", "UltraDense")
 CASES = [(model, mode) for model in ("A1", "S2") for mode in MODES]
 TURNS = 3

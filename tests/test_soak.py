@@ -16,6 +16,8 @@ from benchmarks.soak.watch import Memory, Recoveries  # noqa: E402
 
 from outrider.rplidar.models import DECODED  # noqa: E402
 
+pytestmark = pytest.mark.once
+
 
 def test_two_minutes_of_scans_with_all_faults():
     *_, figures = soak(1200, look=200)

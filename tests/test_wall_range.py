@@ -11,6 +11,8 @@ from outrider.relocalise.observers import wall_range
 from outrider.relocalise.observers.wall_range import Gains
 from outrider.relocalise.room import Room
 
+pytestmark = pytest.mark.once
+
 PERIOD = TAU / 0.5  # of a circle [s]
 
 

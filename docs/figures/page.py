@@ -1,6 +1,7 @@
 """Takes page-*.png: the page in a browser, on a desk and on a phone, live and of a finished run.
 
-Needs playwright and a Chromium (OUTRIDER_CHROMIUM, or the one on the path).
+python docs/figures/page.py [FOLDER]: into this folder unless one is named. Needs playwright and a Chromium
+(OUTRIDER_CHROMIUM, or the one on the path).
 """
 
 import os
@@ -22,6 +23,7 @@ from outrider.settings import Settings, override
 
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update"]
 FLAGS += ["--disable-sync", "--no-first-run", "--mute-audio"]
+INTO = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent
 DESK, PHONE = {"width": 1280, "height": 760}, {"width": 360, "height": 740}
 FINE, LATE = Health((), {}), Health(("scans late: 0.62 s since the last one, limit 0.50 s",), {})
 CLEAR, CAUTION, DANGER = 30, 43, 54  # scans of the demo so far
@@ -45,7 +47,7 @@ def feed(sink, page, shown, health=FINE, gap=0.1):
 def take(page, name):
     """A picture of the page while its sign does not blink."""
     page.evaluate("document.getAnimations().filter((a) => a.animationName).forEach((a) => a.cancel())")
-    page.screenshot(path=Path(__file__).with_name(f"page-{name}.png"), full_page=False)
+    page.screenshot(path=INTO / f"page-{name}.png", full_page=False)
 
 
 def live(browser, settings, street):
