@@ -20,6 +20,14 @@ settings.register_profile(
 settings.load_profile("repeatable")
 
 
+def pytest_collection_modifyitems(items):
+    """What takes minutes runs where it is asked for."""
+    if not os.environ.get("OUTRIDER_SLOW"):
+        for item in items:
+            if item.get_closest_marker("slow"):
+                item.add_marker(pytest.mark.skip(reason="takes long: set OUTRIDER_SLOW"))
+
+
 @pytest.fixture(autouse=True)
 def numpy_errors_are_raised():
     """Division by zero, overflow and invalid values end a test; underflow to zero is harmless."""

@@ -12,6 +12,8 @@ import pytest
 from outrider import cli
 from outrider.io.run import open_run
 
+pytestmark = pytest.mark.once
+
 PUBLISHED, UNSTABLE = "67.20,823.1,2818.5", "78.83,914.6,-2215.8"
 
 

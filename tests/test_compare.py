@@ -20,6 +20,8 @@ from outrider.metrics import Truth
 from outrider.records import Pose
 from outrider.settings import Settings, override
 
+pytestmark = pytest.mark.once
+
 MULTI = observers.get("multi_stage")
 DT = 0.1
 

@@ -17,6 +17,8 @@ from outrider.errors import InputError, NotCertified
 from outrider.observers import multi_stage
 from outrider.observers.multi_stage import L_BETA, L_PSI, NOMINAL
 
+pytestmark = pytest.mark.once
+
 PUBLISHED_SPEED = [4.61, 12.24, 9.83, 4.16]
 PUBLISHED_HIGH_GAIN = [67.20, 823.1, 2818.5]
 

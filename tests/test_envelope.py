@@ -25,6 +25,8 @@ from test_alert import DT, threats
 from test_alert import tracks as alert_tracks
 from test_threat import RIDER, THREAT, ego, tracks
 
+pytestmark = pytest.mark.once
+
 USUAL = Limits(0.1, 8.0, 30.0)
 SIZE = Detect(body_length_m=4.5, body_width_m=1.8)  # of the cars in the simulated streets
 FINE = 4  # pieces of a time step over which an acceleration is constant

@@ -9,6 +9,8 @@ import pytest
 
 from outrider import datasets, io, offline, settings, simulate
 
+pytestmark = pytest.mark.once
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 

@@ -15,6 +15,8 @@ from outrider.observers import Measurement, high_gain
 from outrider.observers._sampled import chain_gains
 from outrider.observers.high_gain import DESIGNED, PUBLISHED, Gains, State
 
+pytestmark = pytest.mark.once
+
 F = np.kron(np.eye(2), np.eye(3, k=1))
 H = np.kron(np.eye(2), np.eye(1, 3))
 L = np.array([67.20, 823.1, 2818.5])

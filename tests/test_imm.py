@@ -14,6 +14,8 @@ from outrider import kernel, observers
 from outrider.observers import Measurement, _turning, imm
 from outrider.observers.imm import Gains, State
 
+pytestmark = pytest.mark.once
+
 NAN = float("nan")
 PLAIN = Gains(huber=0.0, heading=0.0)
 AT = {name: i for i, name in enumerate(State._fields)}

@@ -14,6 +14,8 @@ from outrider.observers import Measurement
 from outrider.observers import _invariant_proof as proof
 from outrider.observers import invariant as inv
 
+pytestmark = pytest.mark.once
+
 GAINS = inv.Gains()
 LINEAR = GAINS._replace(huber=0.0, ramp=0.0)  # settled, nothing saturated
 R = proof.NOMINAL[0] ** 2

@@ -19,6 +19,8 @@ from benchmarks.lateral import cases, commonroad, report, table  # noqa: E402
 pytestmark = pytest.mark.once
 
 B = cars.load("b_class")
+LONG = {"multibody": pytest.mark.slow}  # to compile
+KINDS = [pytest.param(kind, marks=LONG.get(kind, ())) for kind in commonroad.KINDS]
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +28,7 @@ def kept():
     return table.read(ROOT / "benchmarks" / "results" / "lateral.json")
 
 
-@pytest.mark.parametrize("kind", commonroad.KINDS)
+@pytest.mark.parametrize("kind", KINDS)
 def test_compiled_they_are_what_the_package_says(kind):
     p = commonroad.parameters(B, 0.8)
     module = commonroad.vehicle_dynamics_mb if kind == "multibody" else commonroad.vehicle_dynamics_std
@@ -41,7 +43,7 @@ def test_compiled_they_are_what_the_package_says(kind):
         assert made(x.copy(), u, commonroad.frozen(p)) == pytest.approx(plain(list(x), list(u), p), rel=1e-9)
 
 
-@pytest.mark.parametrize("kind", commonroad.KINDS)
+@pytest.mark.parametrize("kind", KINDS)
 def test_in_a_gentle_bend_they_drive_as_the_linear_model_says(kind):
     """The stiffness they were given is the one of the tables; a roll of 16 % is read as ay."""
     bend = course.Course(1.0, np.full(150, 1.0 / 150.0), np.zeros(150), np.zeros(150))

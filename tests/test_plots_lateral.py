@@ -8,6 +8,8 @@ from outrider import cars, plots_lateral
 from outrider.errors import OutputError
 from outrider.lateral import course, plant, run
 
+pytestmark = pytest.mark.once
+
 B = cars.load("b_class")
 
 

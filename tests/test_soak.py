@@ -1,7 +1,6 @@
 """A ride on which everything goes wrong in turn: no crash, memory stays, soon all is well again."""
 
 import json
-import os
 import sys
 from pathlib import Path
 
@@ -37,7 +36,7 @@ def test_two_minutes_of_scans_with_all_faults():
     json.dumps(figures)
 
 
-@pytest.mark.skipif("OUTRIDER_SOAK" not in os.environ, reason="two minutes on the wall: set OUTRIDER_SOAK")
+@pytest.mark.slow
 def test_two_minutes_on_the_wall():
     *_, figures = soak(DAY, wall_s=120.0, look=600)
     assert failures(figures) == []

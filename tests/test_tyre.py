@@ -14,6 +14,8 @@ from outrider.lateral.course import winding
 from outrider.lateral.estimators import _tyre, friction_bank, tyre
 from outrider.lateral.plant import simulate
 
+pytestmark = pytest.mark.once
+
 CAR = load("b_class")
 VX = 18.0
 

@@ -14,6 +14,8 @@ from outrider.models import bicycle
 from outrider.observers import _bicycle, ekf, ukf
 from outrider.observers.ukf import Gains, State
 
+pytestmark = pytest.mark.once
+
 NAN = float("nan")
 PLAIN = Gains(huber=0.0, coast=0.0, mean=1.0)
 ORDER = [2, 3, 4, 5, 0, 1]  # of the sigma points: V, A, psi, beta, x, y

@@ -15,6 +15,8 @@ from outrider.lateral.estimators import ultra_local, ultra_local_published
 from outrider.lateral.log import Log
 from outrider.models.single_track import linear, sampled
 
+pytestmark = pytest.mark.once
+
 B, D = cars.load("b_class"), cars.load("d_class")
 DT = 0.01
 K = [f"k{i}" for i in range(1, 8)]
